@@ -1,0 +1,44 @@
+"""What every test shares: where the real scans are, a small dentition, float64 in jax."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from hapticlod.scan import Scan
+
+# Read by jax when a test first imports it; tests that never touch jax do not pay for importing it.
+os.environ.setdefault("JAX_ENABLE_X64", "1")
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Keep float64 on, even where a module under test switched it off."""
+    if "jax" in sys.modules:
+        sys.modules["jax"].config.update("jax_enable_x64", True)
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Folder of the real scans and hand motions ($HAPTICLOD_DATA, else ../shared/data beside the repository)."""
+    folder = Path(os.environ.get("HAPTICLOD_DATA") or REPOSITORY.parent / "shared" / "data")
+    if not (folder / "meshes").is_dir():
+        pytest.skip(
+            f"real scans not found in {folder}: set HAPTICLOD_DATA to the folder that holds meshes/ and motion/"
+        )
+    return folder
+
+
+@pytest.fixture(scope="session")
+def small_dentition() -> Scan:
+    """A generated lower dentition of about 20 000 triangles."""
+    from hapticlod.dentition import make_dentition
+
+    return make_dentition(triangles=20_000, seed=0)
