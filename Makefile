@@ -1,0 +1,56 @@
+# HapticLOD. `make` lists what there is. One CMake tree (build/release) holds the station, the tests, the benchmarks and
+# the Python module, which lands in hapticlod/: after a change in C++ or Python, `make build` is enough.
+.DEFAULT_GOAL := help
+SHELL := /usr/bin/env bash
+PYTHON ?= python3
+export PYTHON
+
+BIN := .venv/bin
+RELEASE := build/release
+SANITIZED := build/sanitized
+CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_WERROR=ON
+CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl')
+PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
+
+.PHONY: help setup build test test-cpp test-sanitized test-python lint format demo clean
+
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
+
+setup:  ## system packages (as root or with sudo), .venv, Python packages
+	@scripts/bootstrap
+
+build: setup  ## the station, the Python module, tests and benchmarks
+	@mkdir -p build
+	@cmake -S . -B $(RELEASE) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=Release -DHAPTICLOD_INPLACE=ON \
+	    -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python >$(RELEASE).log 2>&1 || { cat $(RELEASE).log; exit 1; }
+	@cmake --build $(RELEASE)
+	@ln -sf ../../$(RELEASE)/hapticlod-station $(BIN)/hapticlod-station
+
+test: lint test-cpp test-sanitized test-python  ## everything CI runs
+
+test-cpp: build  ## C++ tests, release build
+	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error
+
+test-sanitized: setup  ## C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer
+	@mkdir -p build
+	@cmake -S . -B $(SANITIZED) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=RelWithDebInfo -DHAPTICLOD_PYTHON=OFF \
+	    -DHAPTICLOD_SANITIZE=address,undefined >$(SANITIZED).log 2>&1 || { cat $(SANITIZED).log; exit 1; }
+	@cmake --build $(SANITIZED)
+	@ctest --test-dir $(SANITIZED) --output-on-failure --no-tests=error
+
+test-python: build  ## Python tests
+	@$(BIN)/python -m pytest -q
+
+lint: setup  ## ruff, pyright, clang-format: nothing is changed
+	@$(BIN)/ruff check $(PY_DIRS)
+	@$(BIN)/ruff format --check $(PY_DIRS)
+	@$(BIN)/pyright --warnings
+	@$(if $(CPP_FILES),$(BIN)/clang-format --dry-run --Werror $(CPP_FILES))
+
+format:  ## reformat Python and C++
+	@$(BIN)/ruff check --fix --quiet $(PY_DIRS); $(BIN)/ruff format $(PY_DIRS)
+	@$(if $(CPP_FILES),$(BIN)/clang-format -i $(CPP_FILES))
+
+clean:  ## remove build products (keeps .venv)
+	@rm -rf build dist hapticlod/_runtime*.so

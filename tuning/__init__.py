@@ -1,0 +1,1 @@
+"""What uses the model: optimisation, verification, comparison, deployment, the command line."""
