@@ -1,0 +1,70 @@
+"""The `hapticlod` command: what to call, how faults reach the user, which status is returned.
+
+Status: 0 done, 2 the input cannot be used (one line says where, what and what to do), 130 interrupted.
+Commands live in tuning/commands/ and are imported when called: `hapticlod --help` loads neither jax nor a mesh reader.
+"""
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+from typing import NoReturn
+
+from cyclopts import App, CycloptsError
+
+from hapticlod.errors import HapticLODError
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
+
+
+def _version() -> str:
+    import hapticlod
+
+    return f"hapticlod {hapticlod.__version__}"
+
+
+app = App(
+    name="hapticlod",
+    help="Tune levels of detail of a scan for a haptic loop, and look into the result.",
+    version=_version,
+    help_format="plaintext",
+)
+app.command("tuning.commands.tune:tune_command", name="tune", help="Tune a scan for a station and a tool.")
+app.command("tuning.commands.inspect:inspect_command", name="inspect", help="Show what a bundle holds.")
+
+
+def run(tokens: Sequence[str]) -> int:
+    """Carry out one command line and return its exit status; faults are printed as one line on standard error."""
+    try:
+        app(list(tokens), exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
+    except CycloptsError as error:
+        return _say(f"hapticlod: {error}; see: hapticlod --help", BAD_INPUT)
+    except HapticLODError as error:
+        return _say(str(error), BAD_INPUT)
+    except KeyboardInterrupt:
+        return _say("interrupted; nothing was written", INTERRUPTED)
+    except BrokenPipeError:  # the reader of our output went away: `hapticlod inspect x.hlod | head -1`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    return DONE
+
+
+def _say(line: str, status: int) -> int:
+    print(" ".join(line.split()), file=sys.stderr)
+    return status
+
+
+def _terminate(number: int, frame: FrameType | None) -> NoReturn:
+    raise SystemExit(TERMINATED)
+
+
+def main() -> NoReturn:
+    """Entry point of the console script."""
+    signal.signal(signal.SIGTERM, _terminate)  # unwind as for Ctrl-C: part files removed, workers ended
+    sys.exit(run(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()

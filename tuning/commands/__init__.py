@@ -1,0 +1,1 @@
+"""The commands of `hapticlod`, one module each; tuning/cli.py imports them when they are called."""
