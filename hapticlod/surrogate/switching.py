@@ -1,0 +1,126 @@
+"""Which level a tick uses, smoothly: filtered speed, soft Schmitt triggers, the flow of switches.
+
+One trigger per threshold: s = 1 where the level lies above it. With ordered thresholds K - 1 independent triggers are
+the runtime's state machine exactly (a jump over several levels trips several of them). Each is affine in its state,
+s_t = (1 - u_t - d_t) s_{t-1} + u_t, so an associative scan runs them (DESIGN.md section 7). Time is binned: the scan
+sees the speed at the end of every bin of a few ticks, the filter sees every tick.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+
+def affine_scan(gain: Float[Array, "T *s"], offset: Float[Array, "T *s"]) -> Float[Array, "T *s"]:
+    """x_t = gain_t x_{t-1} + offset_t from x = 0 before the first step."""
+
+    def join(first, second):
+        return first[0] * second[0], second[0] * first[1] + second[1]
+
+    gain = jnp.broadcast_to(gain, offset.shape)
+    return jax.lax.associative_scan(join, (gain, offset))[1]
+
+
+def filtered_speed_mm_s(
+    velocity_mm_s: Float[Array, "T 3"],
+    starts: Bool[Array, " bins"],
+    filter_hz: Float[Array, ""],
+    tick_s: float,
+) -> Float[Array, " bins"]:
+    """Speed at the end of every bin, after the runtime's one-pole filter on each component.
+
+    **Arguments:**
+
+    - `velocity_mm_s`: raw velocity per tick; T is a multiple of the number of bins.
+    - `starts`: bins that begin a new motion: the filter is empty there.
+    - `filter_hz`: cut-off; 0 is the raw difference.
+    - `tick_s`: loop period.
+    """
+    bins = starts.shape[0]
+    ticks = velocity_mm_s.shape[0] // bins
+    on = filter_hz > 0
+    keep = jnp.where(on, jnp.exp(-2 * jnp.pi * jnp.where(on, filter_hz, 1.0) * tick_s), 0.0)
+    ages = jnp.arange(ticks - 1, -1, -1)
+    powers = jnp.where(ages > 0, keep ** jnp.maximum(ages, 1), 1.0)
+    gathered = (1 - keep) * jnp.einsum("t,btx->bx", powers, velocity_mm_s.reshape(bins, ticks, 3))
+    gain = jnp.where(starts, 0.0, keep**ticks)
+    velocity = affine_scan(gain[:, None], gathered)
+    return jnp.sqrt(jnp.sum(velocity**2, axis=1) + 1e-12)
+
+
+class Switching(eqx.Module):
+    """Soft level assignment over bins.
+
+    - `weights`: (K, bins) probability of each level; they sum to 1.
+    - `up`, `down`: (K - 1, bins) flow i -> i + 1 and i + 1 -> i that happens in this bin.
+    """
+
+    weights: Float[Array, "K bins"]
+    up: Float[Array, "J bins"]
+    down: Float[Array, "J bins"]
+
+    @property
+    def switches(self) -> Float[Array, ""]:
+        """Expected number of level changes."""
+        return jnp.sum(self.up) + jnp.sum(self.down)
+
+
+def soft_switching(
+    speed_mm_s: Float[Array, " bins"],
+    starts: Bool[Array, " bins"],
+    log_speeds: Float[Array, " J"],
+    hysteresis: Float[Array, ""],
+    sharpness: Float[Array, ""] | float,
+    dwell_bins: int = 0,
+    dwell_rounds: int = 3,
+) -> Switching:
+    """Runs the soft triggers.
+
+    **Arguments:**
+
+    - `speed_mm_s`: filtered speed at the end of every bin.
+    - `starts`: bins that begin a new motion, at level 0.
+    - `log_speeds`: ln of the switching speeds in mm/s, increasing; a huge one is never reached.
+    - `hysteresis`: eta; up above V (1 + eta), down below V (1 - eta).
+    - `sharpness`: the sigmoid's width is eta / sharpness in ln speed. Soft triggers over-count when it is below 5.
+    - `dwell_bins`: least bins between two switches of any kind; 0 for none. Not differentiated.
+    - `dwell_rounds`: fixed-point rounds for the dwell.
+    """
+    log_speed = jnp.log(speed_mm_s)[None, :]
+    width = hysteresis / sharpness
+    up_rate = jax.nn.sigmoid((log_speed - log_speeds[:, None] - jnp.log1p(hysteresis)) / width)
+    down_rate = jax.nn.sigmoid((log_speeds[:, None] + jnp.log1p(-hysteresis) - log_speed) / width)
+    # The first tick of a motion has speed 0: level 0.
+    up_rate = jnp.where(starts, 0.0, up_rate)
+
+    def run(open_share):
+        up_now, down_now = up_rate * open_share, down_rate * open_share
+        gain = jnp.where(starts, 0.0, 1 - up_now - down_now)
+        above = affine_scan(gain.T, up_now.T).T
+        before = jnp.where(starts, 0.0, jnp.concatenate([jnp.zeros_like(above[:, :1]), above[:, :-1]], axis=1))
+        return above, (1 - before) * up_now, before * down_now
+
+    open_share = jnp.ones_like(log_speed)
+    above, up, down = run(open_share)
+    if dwell_bins > 0:
+        for _ in range(dwell_rounds):
+            open_share = _open_share(up, down, starts, dwell_bins)
+            above, up, down = run(open_share)
+    ones, zeros = jnp.ones_like(above[:1]), jnp.zeros_like(above[:1])
+    ladder = jnp.concatenate([ones, above, zeros])
+    return Switching(ladder[:-1] - ladder[1:], up, down)
+
+
+def _open_share(up, down, starts, dwell_bins: int) -> Float[Array, "1 bins"]:
+    """Share of histories with no switch in the last `dwell_bins` bins: 1 minus the flow there, at least 0."""
+    flow = jnp.sum(up, axis=0) + jnp.sum(down, axis=0)
+    total = jnp.cumsum(flow)
+    back = jnp.arange(flow.shape[0]) - 1 - dwell_bins
+    motion_start = jax.lax.cummax(jnp.where(starts, jnp.arange(flow.shape[0]), 0))
+    before = jnp.concatenate([jnp.zeros(1, flow.dtype), total])[:-1]  # total up to the bin before
+    floor = jnp.maximum(back, motion_start - 1)
+    earlier = jnp.where(floor >= 0, total[jnp.maximum(floor, 0)], 0.0)
+    return jnp.clip(1 - (before - earlier), 0.0, 1.0)[None, :]
