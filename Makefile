@@ -8,6 +8,8 @@ export PYTHON
 BIN := .venv/bin
 RELEASE := build/release
 SANITIZED := build/sanitized
+# The sanitized build is also the second compiler's: clang where there is one.
+SANITIZED_CXX := $(shell command -v clang++ || command -v c++)
 CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_WERROR=ON
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
@@ -35,6 +37,7 @@ test-cpp: build  ## C++ tests, release build
 test-sanitized: setup  ## C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer
 	@mkdir -p build
 	@cmake -S . -B $(SANITIZED) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=RelWithDebInfo -DHAPTICLOD_PYTHON=OFF \
+	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) \
 	    -DHAPTICLOD_SANITIZE=address,undefined >$(SANITIZED).log 2>&1 || { cat $(SANITIZED).log; exit 1; }
 	@cmake --build $(SANITIZED)
 	@ctest --test-dir $(SANITIZED) --output-on-failure --no-tests=error
@@ -51,6 +54,9 @@ lint: setup  ## ruff, pyright, clang-format: nothing is changed
 format:  ## reformat Python and C++
 	@$(BIN)/ruff check --fix --quiet $(PY_DIRS); $(BIN)/ruff format $(PY_DIRS)
 	@$(if $(CPP_FILES),$(BIN)/clang-format -i $(CPP_FILES))
+
+demo: build  ## from nothing to a running station: make a scan, tune it, run it
+	@$(BIN)/python scripts/demo.py
 
 clean:  ## remove build products (keeps .venv)
 	@rm -rf build dist hapticlod/_runtime*.so

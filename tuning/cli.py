@@ -40,7 +40,7 @@ def run(tokens: Sequence[str]) -> int:
         app(list(tokens), exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
     except CycloptsError as error:
-        return _say(f"hapticlod: {error}; see: hapticlod --help", BAD_INPUT)
+        return _say(f"hapticlod: {str(error).rstrip('.')}; see hapticlod --help", BAD_INPUT)
     except HapticLODError as error:
         return _say(str(error), BAD_INPUT)
     except KeyboardInterrupt:

@@ -1,0 +1,147 @@
+"""The command line: what users type, what they read, and what a fault looks like to them."""
+
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import tuning.cli
+from hapticlod.scan import Scan
+
+SPHERE_OFF = "OFF\n4 4 0\n0 0 0\n10 0 0\n0 10 0\n0 0 10\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """Run a command that must be refused, and return the one line it printed."""
+    status = tuning.cli.run([str(word) for word in words])
+    shown = capsys.readouterr()
+    assert status == 2
+    assert shown.out == ""
+    assert "Traceback" not in shown.err
+    lines = shown.err.splitlines()
+    assert len(lines) == 1, shown.err
+    return lines[0]
+
+
+@pytest.fixture
+def scan_file(tmp_path: Path) -> Path:
+    path = tmp_path / "tetrahedron.off"
+    path.write_text(SPHERE_OFF)
+    return path
+
+
+def write_stl(path: Path, scan: Scan, claimed: int | None = None) -> None:
+    """Binary STL of a scan; `claimed` is the face count that its header states."""
+    corners = scan.vertices[scan.faces].astype("<f4")
+    rows = b"".join(struct.pack("<3f", 0, 0, 0) + corner.tobytes() + b"\0\0" for corner in corners)
+    path.write_bytes(b"\0" * 80 + struct.pack("<I", claimed or len(corners)) + rows)
+
+
+def test_help_and_version_load_neither_jax_nor_a_mesh_reader() -> None:
+    code = (
+        "import sys, tuning.cli\n"
+        "assert tuning.cli.run(['--help']) == 0 and tuning.cli.run(['--version']) == 0\n"
+        "assert tuning.cli.run(['tune', '--help']) == 0\n"
+        "print(sorted({'jax', 'trimesh', 'scipy'} & set(sys.modules)))"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.splitlines()[-1] == "[]"
+    assert "--budget-us" in shown.stdout
+
+
+def test_unknown_commands_and_options_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "tun" in refused(capsys, "tun")
+    assert "--output" in refused(capsys, "tune", "scan.stl")
+    assert "--colour" in refused(capsys, "tune", "scan.stl", "-o", "x.hlod", "--colour", "red")
+    assert "--seed" in refused(capsys, "tune", "scan.stl", "-o", "x.hlod", "--seed", "lucky")
+
+
+@pytest.mark.parametrize("levels", ["0", "0-2", "3-2", "1-6", "two", "1-", ""])
+def test_level_ranges_that_make_no_sense(levels: str, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--levels" in refused(capsys, "tune", scan_file, "-o", scan_file.parent / "x.hlod", f"--levels={levels}")
+
+
+class TestScans:
+    def tune(self, capsys: pytest.CaptureFixture[str], scan: Path, *options: object) -> str:
+        output = scan.parent / "out.hlod"
+        before = set(scan.parent.iterdir())
+        line = refused(capsys, "tune", scan, "-o", output, "--json", scan.parent / "out.json", *options)
+        assert set(scan.parent.iterdir()) == before, "a refused job left files behind"
+        return line
+
+    def test_missing(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert "absent.stl" in self.tune(capsys, tmp_path / "absent.stl")
+
+    def test_a_folder(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        (tmp_path / "scans").mkdir()
+        assert "scans" in self.tune(capsys, tmp_path / "scans")
+
+    def test_empty(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        (tmp_path / "empty.stl").touch()
+        assert "empty.stl" in self.tune(capsys, tmp_path / "empty.stl")
+
+    def test_truncated(self, tmp_path: Path, small_dentition: Scan, capsys: pytest.CaptureFixture[str]) -> None:
+        path = tmp_path / "cut.stl"
+        write_stl(path, small_dentition)
+        path.write_bytes(path.read_bytes()[:-12_345])
+        line = self.tune(capsys, path)
+        assert "cut.stl" in line
+
+    def test_no_faces(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        (tmp_path / "points.off").write_text("OFF\n3 0 0\n0 0 0\n1 0 0\n0 1 0\n")
+        assert "points.off" in self.tune(capsys, tmp_path / "points.off")
+
+    def test_bad_index(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        (tmp_path / "index.off").write_text("OFF\n4 2 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n3 1 2 99\n")
+        assert "index.off" in self.tune(capsys, tmp_path / "index.off")
+
+    def test_unknown_unit(self, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert "furlong" in self.tune(capsys, scan_file, "--unit", "furlong")
+
+
+class TestOtherFiles:
+    @pytest.mark.parametrize(
+        ("name", "text", "named"),
+        [
+            ("headless.csv", "0.0,1.0,2.0,3.0\n0.001,1.0,2.0,3.0\n", "headless.csv"),
+            ("nan.csv", "t_s,x_mm,y_mm,z_mm\n0.0,1,2,3\n0.1,1,nan,3\n0.2,1,2,3\n", "nan.csv:3"),
+            ("empty.csv", "", "empty.csv"),
+        ],
+    )
+    def test_motions(
+        self, name: str, text: str, named: str, scan_file: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        motion = scan_file.parent / name
+        motion.write_text(text)
+        assert named in refused(capsys, "tune", scan_file, "-o", motion.with_suffix(".hlod"), "--motions", motion)
+
+    def test_a_station_with_a_typo(self, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        station = scan_file.parent / "desk.toml"
+        station.write_text('name = "desk"\nloop_hz = 1000.0\nbudgget_us = 200.0\n')
+        line = refused(capsys, "tune", scan_file, "-o", station.with_suffix(".hlod"), "--station", station)
+        assert "desk.toml:3" in line and "budgget_us" in line
+
+    def test_a_tool_that_is_no_toml(self, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        tool = scan_file.parent / "burr.toml"
+        tool.write_text("name = \n")
+        assert "burr.toml:1" in refused(capsys, "tune", scan_file, "-o", tool.with_suffix(".hlod"), "--tool", tool)
+
+    @pytest.mark.parametrize("option", ["--budget-us=0", "--budget-us=-5", "--loop-hz=0", "--budget-us=nan"])
+    def test_stations_that_cannot_be(self, option: str, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        line = refused(capsys, "tune", scan_file, "-o", scan_file.with_suffix(".hlod"), option)
+        assert option.split("=")[0].strip("-").replace("-", "_") in line
+
+    def test_an_output_folder_that_does_not_exist(self, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert "nowhere" in refused(capsys, "tune", scan_file, "-o", scan_file.parent / "nowhere" / "x.hlod")
+
+    def test_an_output_that_would_overwrite_the_scan(
+        self, scan_file: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert "tetrahedron.off" in refused(capsys, "tune", scan_file, "-o", scan_file)
+        assert scan_file.read_text() == SPHERE_OFF

@@ -1,0 +1,117 @@
+"""`hapticlod tune`: a scan, a tool and a station in; one bundle and the reason for it out."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+from rich.console import Console
+
+from hapticlod.errors import InputError
+from hapticlod.shipped import shipped_config
+from tuning.progress import StageProgress
+
+if TYPE_CHECKING:
+    from hapticlod.station import Station
+    from tuning.tune import TuneResult
+
+DEFAULT_STATION = "stations/desktop_1khz.toml"
+DEFAULT_TOOL = "tools/point.toml"
+MOST_LEVELS = 5
+
+
+def tune_command(
+    scan: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    unit: str = "mm",
+    station: Path | None = None,
+    tool: Path | None = None,
+    motions: Annotated[tuple[Path, ...], Parameter(consume_multiple=True, negative=(), show_default=False)] = (),
+    levels: str = f"1-{MOST_LEVELS}",
+    budget_us: float | None = None,
+    loop_hz: float | None = None,
+    seed: int = 0,
+    json: Path | None = None,
+) -> None:
+    """Tune a scan for a station and a tool, and write one bundle.
+
+    Parameters
+    ----------
+    scan
+        Triangle mesh: STL, PLY, OBJ, OFF or GLB.
+    output
+        The bundle to write (.hlod).
+    unit
+        Unit of the scan's coordinates.
+    station
+        Station file (configs/stations/): rate, budget, limits. Default: a desktop at 1 kHz.
+    tool
+        Tool file (configs/tools/). Default: a point.
+    motions
+        Recorded hand motions, CSV with t_s,x_mm,y_mm,z_mm. Default: strokes made on the scan's surface.
+    levels
+        Numbers of levels to consider, as 1-5 or 3.
+    budget_us
+        Loop cost that one tick may have at p99.9. Default: the station's.
+    loop_hz
+        Loop rate. Default: the station's.
+    seed
+        Of everything random: the same seed gives the same answer from the same measurements.
+    json
+        Also write the result as JSON.
+    """
+    from hapticlod.motion import load_motion
+    from hapticlod.station import load_station
+    from hapticlod.tool import load_tool
+
+    level_counts = parse_levels(levels)
+    for path in (output, json):
+        if path is not None:
+            _check_writable(path)
+    target = _adjusted(load_station(station or shipped_config(DEFAULT_STATION)), loop_hz, budget_us)
+    held = load_tool(tool or shipped_config(DEFAULT_TOOL))
+    recorded = [load_motion(path, target.loop_hz) for path in motions]
+
+    notes = Console(stderr=True, highlight=False)
+    with StageProgress(notes) as progress:
+        progress("load and clean the scan", 0.0)
+        from hapticlod.scan import load_scan
+
+        cleaned = load_scan(scan, unit)
+        from tuning.tune import tune
+
+        result = tune(
+            cleaned, target, held, recorded or None, levels=level_counts, seed=seed, progress=progress
+        )
+    for line in cleaned.report.lines():
+        notes.print(line, markup=False)
+    del result
+
+
+def parse_levels(text: str) -> tuple[int, int]:
+    """`"1-5"` or `"3"` as the least and the largest number of levels. Raises InputError."""
+    match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", text)
+    if match:
+        least, most = int(match[1]), int(match[2] or match[1])
+        if 1 <= least <= most <= MOST_LEVELS:
+            return least, most
+    raise InputError("--levels", f"{text!r} is no range of level counts", f"give one number or a range within 1-{MOST_LEVELS}")
+
+
+def _check_writable(path: Path) -> None:
+    """Before minutes of work, not after."""
+    if path.is_dir():
+        raise InputError(str(path), "is a folder", "give the name of a file")
+    if not path.resolve().parent.is_dir():
+        raise InputError(str(path), f"the folder {path.resolve().parent} does not exist", "create it first")
+
+
+def _adjusted(station: Station, loop_hz: float | None, budget_us: float | None) -> Station:
+    if loop_hz is None and budget_us is None:
+        return station
+    return station.adjusted(loop_hz=loop_hz, budget_us=budget_us)
