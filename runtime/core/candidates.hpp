@@ -1,0 +1,92 @@
+// The triangles near the tool, gathered once and used for as many ticks as they stay sufficient.
+//
+// A ball of the tool at offset o with radius r touches triangle T where the tool's reference point is within r of
+// T - o. So every (ball, triangle) pair becomes one item: a shifted triangle with a radius, and the whole tool one
+// point. Items are complete within `reach` of the point they were gathered at: a ball that was clear by c then cannot
+// have come within c - s after the reference moved s.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "core/kernels.hpp"
+#include "core/level.hpp"
+#include "core/vec.hpp"
+
+namespace hapticlod {
+
+struct TickCounters {
+    std::uint32_t cells = 0, triangles = 0, tests = 0, iterations = 0, balls = 0, mapping_cells = 0;
+    std::uint32_t errors = 0;
+};
+
+// A ball as the solver sees it: offset from the reference point in the scan's orientation, and the radius it keeps
+// (never below the skin, so that a point has an outside and an inside).
+struct SolverBall {
+    Vec3 offset;
+    double radius = 0.0;       // of the tool
+    double kept = 0.0;         // distance the centre keeps: max(radius, crack / 2) + skin
+};
+
+class Candidates {
+public:
+    static constexpr std::uint32_t kMaxBlocks = 4096;  // 32768 items
+
+    void allocate(std::size_t balls);
+    void bind(const LevelView& level, const Kernels& kernels);
+
+    // Everything that a ball could touch while the reference point stays within `reach` of centre. Returns the reach
+    // that could be granted (less where the scratch is too small).
+    double gather(const Vec3& centre, double reach, std::span<const SolverBall> balls, TickCounters& counters);
+
+    void invalidate() { valid_ = false; }
+    // Forget the safe distances too: the level or the tool changed.
+    void forget();
+    // The tool's balls moved by up to `distance` relative to the reference point (rotation).
+    void rotated(double distance) { odometer_ += distance, valid_ = false; }
+
+    [[nodiscard]] bool valid() const { return valid_; }
+    [[nodiscard]] const Vec3& centre() const { return centre_; }
+    [[nodiscard]] double reach() const { return reach_; }
+    [[nodiscard]] std::uint32_t block_count() const { return block_count_; }
+    // Lanes of a block that carry items of their own.
+    [[nodiscard]] std::uint32_t lanes(std::uint32_t i) const {
+        return i + 1 < block_count_ || item_count_ % 8 == 0 ? 8 : item_count_ % 8;
+    }
+    [[nodiscard]] const ItemBlock& block(std::uint32_t i) const { return blocks_[i]; }
+    [[nodiscard]] EvalBlock& evaluation(std::uint32_t i) { return evaluations_[i]; }
+    [[nodiscard]] const EvalBlock& evaluation(std::uint32_t i) const { return evaluations_[i]; }
+    // Lower bound of a block's clearance plus the path length at which it was found.
+    [[nodiscard]] double& key(std::uint32_t i) { return keys_[i]; }
+    [[nodiscard]] double key(std::uint32_t i) const { return keys_[i]; }
+    // Where the evaluation was made (the solver's stamp).
+    [[nodiscard]] std::uint32_t& stamp(std::uint32_t i) { return stamps_[i]; }
+    // Lower bound of the tool's clearance at x, as far as the gathers know.
+    [[nodiscard]] double clearance_bound(const Vec3& x, std::size_t balls) const;
+    [[nodiscard]] std::size_t bytes() const;
+
+private:
+    bool gather_ball(const SolverBall& ball, std::uint32_t index, double reach, TickCounters& counters);
+    bool append(const TriBlock& block, std::uint32_t lane, const Vec3& ball_centre, const SolverBall& ball,
+                std::uint32_t index);
+    void finish();
+
+    struct BallState {
+        double safe = 0.0;      // clear by this much ...
+        double odometer = 0.0;  // ... when the path length was this
+    };
+
+    LevelView level_;
+    const Kernels* kernels_ = nullptr;
+    std::vector<ItemBlock> blocks_;
+    std::vector<EvalBlock> evaluations_;
+    std::vector<double> keys_;
+    std::vector<std::uint32_t> stamps_;
+    std::vector<BallState> balls_;
+    std::uint32_t item_count_ = 0, block_count_ = 0;
+    Vec3 centre_;
+    double reach_ = 0.0, odometer_ = 0.0;
+    bool valid_ = false;
+};
+
+}  // namespace hapticlod

@@ -1,0 +1,185 @@
+#include "core/contact.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <limits>
+
+
+namespace hapticlod {
+namespace {
+
+constexpr int kMaxIterations = 200;
+
+}  // namespace
+
+double time_of_touch(const Triangle& triangle, const Vec3& p, const Vec3& step, double keep, double precision) {
+    double t = 0.0;
+    for (int k = 0; k < 48; ++k) {
+        const Vec3 at = p + step * t;
+        const ClosestPoint c = closest_on_triangle(at, triangle);
+        const double d = std::sqrt(c.distance2);
+        const double gap = d - keep;
+        const double slope = d > 0.0 ? dot(at - c.point, step) / d : 0.0;
+        if (slope >= 0.0) return 2.0;  // leaving, or parallel
+        if (gap <= precision) return t;
+        t -= gap / slope;
+        if (t > 1.0) return 2.0;
+    }
+    return t;
+}
+
+void ContactSolver::bind(const LevelView& level, const Kernels& kernels, const Tolerances& tolerances) {
+    kernels_ = &kernels;
+    tolerances_ = tolerances;
+    mean_edge_mm_ = double{level.hash->mean_edge_mm};
+    cell_mm_ = level.hash->cell_mm;
+    candidates_.bind(level, kernels);
+}
+
+// Renews every block that could be within `within` of being touched, seen from local_.
+void ContactSolver::evaluate(double within, TickCounters& counters) {
+    const float p[3] = {static_cast<float>(local_.x), static_cast<float>(local_.y), static_cast<float>(local_.z)};
+    for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
+        double& key = candidates_.key(i);
+        if (key - path_ > within || candidates_.stamp(i) == stamp_) continue;
+        candidates_.stamp(i) = stamp_;
+        const float least = kernels_->eval(candidates_.block(i), p, candidates_.evaluation(i));
+        key = double{least} + path_;
+        counters.tests += 8;
+    }
+}
+
+bool ContactSolver::separated(const Triangle& t, double kept) const {
+    for (int i = 0; i < planes_.count; ++i) {
+        const ContactPlane& p = planes_.planes[i];
+        const double highest = std::max({dot(p.normal, t.a), dot(p.normal, t.b), dot(p.normal, t.c)});
+        if (highest + kept <= p.offset + tolerances_.covered) return true;
+    }
+    return false;
+}
+
+void ContactSolver::collect_touching(std::span<const SolverBall> balls) {
+    std::size_t count = 0;
+    const double within = tolerances_.touching;
+    for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
+        if (candidates_.key(i) - path_ > within) continue;
+        const EvalBlock& e = candidates_.evaluation(i);
+        const ItemBlock& b = candidates_.block(i);
+        for (std::uint32_t k = 0; k < 8; ++k) {
+            if (double{e.clearance[k]} > within) continue;
+            const SolverBall& ball = balls[b.ball[k]];
+            const ClosestPoint c = closest_on_triangle(local_, item_triangle(b, k));
+            const double d = std::sqrt(c.distance2);
+            if (!(d > 0.0)) continue;  // exactly on it: no side to keep
+            const Vec3 n = (local_ - c.point) * (1.0 / d);
+            std::size_t at = count;
+            if (count == kMaxTouches) {
+                if (d - ball.kept >= touches_[kMaxTouches - 1].clearance) continue;
+                at = kMaxTouches - 1;
+            } else {
+                ++count;
+            }
+            const Touch touch{d - ball.kept,
+                              {n, dot(n, c.point) + ball.kept, c.point + ball.offset, ball.kept - ball.radius, b.triangle[k],
+                               b.ball[k]},
+                              i, k};
+            for (; at > 0 && touches_[at - 1].clearance > touch.clearance; --at) touches_[at] = touches_[at - 1];
+            touches_[at] = touch;
+        }
+    }
+    planes_.count = 0;
+    for (std::size_t i = 0; i < count && planes_.count < kMaxPlanes; ++i) {
+        const Triangle t = item_triangle(candidates_.block(touches_[i].block), touches_[i].lane);
+        if (!separated(t, balls[touches_[i].plane.ball].kept)) planes_.planes[planes_.count++] = touches_[i].plane;
+    }
+}
+
+double ContactSolver::sweep(const Vec3& step, std::span<const SolverBall> balls) const {
+    const double length = norm(step);
+    const Vec3 y = local_ + step;
+    const float to[3] = {static_cast<float>(y.x), static_cast<float>(y.y), static_cast<float>(y.z)};
+    const float margin = static_cast<float>(tolerances_.skin);
+    double first = 2.0;
+    for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
+        if (candidates_.key(i) - path_ > length) continue;
+        const ItemBlock& b = candidates_.block(i);
+        for (std::uint32_t bits = kernels_->crossed(candidates_.evaluation(i), to, margin); bits != 0; bits &= bits - 1) {
+            const auto k = static_cast<std::uint32_t>(std::countr_zero(bits));
+            const Triangle t = item_triangle(b, k);
+            const double kept = balls[b.ball[k]].kept;
+            if (separated(t, kept)) continue;
+            const double reach = std::min(first, 1.0);
+            const double at = time_of_touch(t, local_, step * reach, kept - 0.5 * tolerances_.skin,
+                                            0.05 * tolerances_.skin);
+            if (at <= 1.0) first = at * reach;
+        }
+    }
+    return first;
+}
+
+Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> balls, double motion_mm,
+                               TickCounters& counters) {
+    Contact out;
+    out.converged = false;
+    const double shortest = std::max(0.5 * mean_edge_mm_, 16.0 * tolerances_.skin);
+    const double wanted = std::clamp(3.0 * motion_mm, shortest, std::max(4.0 * cell_mm_, shortest));
+    for (int k = 0; k < kMaxIterations; ++k) {
+        ++counters.iterations;
+        // Candidates are good while x and everything within touching distance stays inside their reach.
+        const double slack = 2.0 * tolerances_.skin;
+        if (!candidates_.valid() || norm(x_ - candidates_.centre()) > 0.75 * (candidates_.reach() - slack)) {
+            const double granted = candidates_.gather(x_, wanted, balls, counters);
+            if (granted < wanted) counters.errors |= kErrCandidates;
+            path_ = 0.0;
+            if (granted <= 2.0 * slack) return out;
+        }
+        const Vec3 centre = candidates_.centre();
+        local_ = x_ - centre;
+        ++stamp_;
+        evaluate(tolerances_.touching, counters);
+        collect_touching(balls);
+        const PlaneSolution solution = nearest_feasible(planes_, hip - centre, false, 1e-3 * tolerances_.settled);
+        Vec3 step = solution.y - local_;
+        const double length = norm(step);
+        if (!solution.feasible) break;
+        if (length <= tolerances_.settled) {
+            out.converged = true;
+            break;
+        }
+        // Clip to the ball the candidates are complete for: |local + t step| = limit.
+        const double limit = candidates_.reach() - slack;
+        double whole = 1.0;
+        if (norm2(local_ + step) > limit * limit) {
+            const double a = norm2(step), b = dot(local_, step), c = norm2(local_) - limit * limit;
+            whole = std::clamp((-b + std::sqrt(std::max(b * b - a * c, 0.0))) / a, 0.0, 1.0);
+            step = step * whole;
+        }
+        evaluate(length * whole, counters);
+        const double t = std::min(sweep(step, balls), 1.0);
+        x_ += step * t;
+        path_ += length * whole * t;
+        if (planes_.count == 0 && whole == 1.0 && t == 1.0) {
+            out.converged = true;  // arrived at the HIP, nothing touched
+            break;
+        }
+    }
+    const Vec3 centre = candidates_.centre();
+    if (!out.converged) {
+        out.scp = x_;
+        return out;
+    }
+    free_distance_ = planes_.count > 0 ? 0.0 : candidates_.clearance_bound(x_, balls.size());
+    // The same planes without the skin: what the surface itself allows.
+    const PlaneSolution final = nearest_feasible(planes_, hip - centre, true, 1e-3 * tolerances_.settled);
+    out.scp = final.y + centre;
+    out.active = final.active;
+    for (int i = 0; i < final.active; ++i) {
+        out.planes[i] = planes_.planes[final.index[i]];
+        out.planes[i].point += centre;
+        out.multiplier[i] = final.multiplier[i];
+    }
+    return out;
+}
+
+}  // namespace hapticlod

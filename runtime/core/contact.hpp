@@ -1,0 +1,96 @@
+// Constraint-based god object for a rigid union of balls (Zilles & Salisbury 1995; a ball of radius r: Ruspini et al.
+// 1997), solved to convergence every tick. The definition and its invariants: docs/contact.md.
+//
+// One step: planes of everything touched at x (nearest first; a triangle that the planes so far already separate adds
+// none), the point y nearest to the HIP behind no plane (plane_qp), a sweep x -> y that stops at the first triangle
+// met. Repeated until y = x. Every step is collision-free and shortens the distance to the HIP.
+#pragma once
+#include <span>
+#include <vector>
+
+#include "core/candidates.hpp"
+#include "core/plane_qp.hpp"
+#include "core/triangle.hpp"
+
+namespace hapticlod {
+
+// Lengths that decide contact, all relative to the model's extent.
+struct Tolerances {
+    double skin = 0.0;      // what a resting ball keeps beyond its radius
+    double covered = 0.0;   // a triangle may rise above a plane by this and still count as separated by it
+    double touching = 0.0;  // clearance (from the kept distance) under which a triangle is a constraint
+    double settled = 0.0;   // a step shorter than this ends the solve
+
+    static Tolerances of_extent(double extent_mm) {
+        const double skin = 4e-6 * extent_mm;
+        return {skin, 0.25 * skin, skin, 0.02 * skin};
+    }
+};
+
+// First parameter t in [0, 1] at which p + t step comes within `keep` of the triangle; 2 where it never does.
+// Distance to a convex set is convex along a line, so Newton from the left never overshoots the first root.
+[[nodiscard]] double time_of_touch(const Triangle& triangle, const Vec3& p, const Vec3& step, double keep,
+                                   double precision);
+
+inline Triangle item_triangle(const ItemBlock& b, std::uint32_t k) {
+    return {{b.v[0][k], b.v[1][k], b.v[2][k]}, {b.v[3][k], b.v[4][k], b.v[5][k]}, {b.v[6][k], b.v[7][k], b.v[8][k]}};
+}
+
+struct Contact {
+    Vec3 scp;              // nearest feasible point without the skin: what force is computed from
+    int active = 0;        // constraints, 0..3
+    ContactPlane planes[3];
+    double multiplier[3] = {};  // scp = hip + sum multiplier_k planes[k].normal
+    bool converged = true;
+};
+
+class ContactSolver {
+public:
+    void allocate(std::size_t max_balls) {
+        candidates_.allocate(max_balls);
+        touches_.resize(kMaxTouches);
+    }
+    void bind(const LevelView& level, const Kernels& kernels, const Tolerances& tolerances);
+
+    // Place the reference point without sweeping (free space, or a mapped contact).
+    void place(const Vec3& x) { x_ = x; }
+    [[nodiscard]] const Vec3& position() const { return x_; }
+
+    // Move from the present position toward the HIP as far as the surface lets.
+    Contact advance(const Vec3& hip, std::span<const SolverBall> balls, double motion_mm, TickCounters& counters);
+
+    Candidates& candidates() { return candidates_; }
+    // Lower bound of the distance to the surface, 0 in contact: what the distance policy switches by.
+    [[nodiscard]] double free_distance() const { return free_distance_; }
+    [[nodiscard]] const Tolerances& tolerances() const { return tolerances_; }
+    [[nodiscard]] double cell_mm() const { return cell_mm_; }
+    [[nodiscard]] double mean_edge_mm() const { return mean_edge_mm_; }
+
+private:
+    static constexpr std::size_t kMaxTouches = 256;
+
+    struct Touch {
+        double clearance;
+        ContactPlane plane;
+        std::uint32_t block, lane;
+    };
+
+    void evaluate(double within, TickCounters& counters);
+    void collect_touching(std::span<const SolverBall> balls);
+    [[nodiscard]] double sweep(const Vec3& step, std::span<const SolverBall> balls) const;
+    [[nodiscard]] bool separated(const Triangle& t, double kept) const;
+
+    Candidates candidates_;
+    const Kernels* kernels_ = nullptr;
+    Tolerances tolerances_;
+    double mean_edge_mm_ = 0.0, cell_mm_ = 0.0;
+    Vec3 x_;
+    Vec3 local_;         // x relative to the candidates' centre, at the last evaluation
+    double free_distance_ = 0.0;
+    double path_ = 0.0;  // length moved since the gather
+    std::uint32_t stamp_ = 0;  // names the present local_: what carries it need not be evaluated again
+    PlaneSet planes_;
+    std::vector<Touch> touches_;
+};
+
+}  // namespace hapticlod

@@ -1,0 +1,26 @@
+// Denormals cost hundreds of cycles each; a tick runs with them flushed and gives the caller's mode back.
+#pragma once
+#if defined(__SSE2__)
+#include <xmmintrin.h>
+#endif
+
+namespace hapticlod {
+
+class FlushDenormals {
+public:
+#if defined(__SSE2__)
+    FlushDenormals() : saved_(_mm_getcsr()) { _mm_setcsr(saved_ | 0x8040u); }  // FTZ | DAZ
+    ~FlushDenormals() { _mm_setcsr(saved_); }
+
+private:
+    unsigned saved_;
+#else
+    FlushDenormals() = default;
+#endif
+
+public:
+    FlushDenormals(const FlushDenormals&) = delete;
+    FlushDenormals& operator=(const FlushDenormals&) = delete;
+};
+
+}  // namespace hapticlod

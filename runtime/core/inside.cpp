@@ -1,0 +1,117 @@
+#include "core/inside.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/mapping.hpp"
+
+namespace hapticlod {
+namespace {
+
+double corner_angle(const Vec3& at, const Vec3& u, const Vec3& v) {
+    const Vec3 a = u - at, b = v - at;
+    return std::atan2(norm(cross(a, b)), dot(a, b));
+}
+
+// Angle-weighted pseudonormal contribution of a triangle at its point c: a corner counts with its angle, an edge and
+// the inside with a constant (both faces of an edge alike).
+Vec3 weighted_normal(const Triangle& t, const ClosestPoint& c, double same2) {
+    const Vec3 n = cross(t.b - t.a, t.c - t.a);
+    const double length = norm(n);
+    if (!(length > 0.0)) return {};
+    double weight = 1.0;
+    if (!c.interior) {
+        if (norm2(c.point - t.a) <= same2) weight = corner_angle(t.a, t.b, t.c);
+        else if (norm2(c.point - t.b) <= same2) weight = corner_angle(t.b, t.c, t.a);
+        else if (norm2(c.point - t.c) <= same2) weight = corner_angle(t.c, t.a, t.b);
+    }
+    return n * (weight / length);
+}
+
+// Least clearance over all candidates at x, in double.
+double least_clearance(const Candidates& candidates, const Vec3& x, std::span<const SolverBall> balls) {
+    double least = 1e300;
+    for (std::uint32_t i = 0; i < candidates.block_count(); ++i)
+        for (std::uint32_t k = 0; k < candidates.lanes(i); ++k) {
+            const ItemBlock& b = candidates.block(i);
+            const double d2 = closest_on_triangle(x - candidates.centre(), item_triangle(b, k)).distance2;
+            least = std::min(least, std::sqrt(d2) - balls[b.ball[k]].kept);
+        }
+    return least;
+}
+
+}  // namespace
+
+double segment_hit(const Vec3& p, const Vec3& q, const Triangle& t) {
+    const Vec3 d = q - p, ab = t.b - t.a, ac = t.c - t.a;
+    const Vec3 n = cross(ab, ac);
+    const double slope = -dot(d, n);
+    if (slope == 0.0) return 2.0;
+    const Vec3 ap = p - t.a;
+    const double s = dot(ap, n) / slope;
+    if (!(s >= 0.0 && s <= 1.0)) return 2.0;
+    const Vec3 m = cross(ap, d);
+    const double v = -dot(ac, m) / slope, w = dot(ab, m) / slope;
+    return v >= 0.0 && w >= 0.0 && v + w <= 1.0 ? s : 2.0;
+}
+
+SurfaceSide surface_side(ContactSolver& solver, std::span<const SolverBall> balls, double bound_mm,
+                         TickCounters& counters) {
+    Candidates& candidates = solver.candidates();
+    const Vec3 x = solver.position();
+    const double same = 1e-3 * solver.tolerances().skin;
+    SurfaceSide side;
+    for (double c = std::min(solver.cell_mm(), bound_mm);; c = std::min(2.0 * c, bound_mm)) {
+        const double granted = candidates.gather(x, c, balls, counters);
+        double least = 1e300;
+        for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
+            const ItemBlock& b = candidates.block(i);
+            counters.tests += 8;
+            for (std::uint32_t k = 0; k < candidates.lanes(i); ++k) {
+                const ClosestPoint p = closest_on_triangle({}, item_triangle(b, k));
+                const SolverBall& ball = balls[b.ball[k]];
+                const double clearance = std::sqrt(p.distance2) - ball.kept;
+                if (clearance > least + same) continue;
+                const Vec3 n = weighted_normal(item_triangle(b, k), p, same * same);
+                if (clearance < least - same) side = {true, std::sqrt(p.distance2), p.point + ball.offset + x, {}, b.ball[k]};
+                if (b.ball[k] == side.ball) side.normal += n;
+                least = std::min(least, clearance);
+            }
+        }
+        if (side.found || granted < c || c >= bound_mm) break;
+    }
+    candidates.invalidate();
+    if (!side.found) return side;
+    const Vec3 away = x + balls[side.ball].offset - side.point;
+    const double length = norm(side.normal);
+    side.normal = length > 0.0 ? side.normal * (1.0 / length) : away * (1.0 / std::max(norm(away), 1e-300));
+    if (dot(away, side.normal) < 0.0) side.distance = -side.distance;
+    return side;
+}
+
+bool place_on_closest(ContactSolver& solver, std::span<const SolverBall> balls, double bound_mm,
+                      const ContactMemory* memory, TickCounters& counters) {
+    const Vec3 start = solver.position();
+    const double skin = solver.tolerances().skin;
+    // Each push frees the deepest ball; in a groove the walls take turns.
+    for (int k = 0; k < 32; ++k) {
+        const SurfaceSide side = surface_side(solver, balls, bound_mm, counters);
+        if (!side.found) break;
+        Vec3 normal = side.normal;
+        if (memory != nullptr && dot(normal, memory->normal) < 0.0) normal = -normal;
+        const double kept = balls[side.ball].kept;
+        const Vec3 to = side.point + normal * kept;
+        Vec3 x = solver.position() + (to - (solver.position() + balls[side.ball].offset));
+        solver.place(x);
+        solver.candidates().gather(x, 4.0 * skin, balls, counters);
+        const double clearance = least_clearance(solver.candidates(), x, balls);
+        solver.candidates().invalidate();
+        if (norm(x - start) > bound_mm + kept) break;
+        if (clearance > -0.5 * skin) return true;
+        memory = nullptr;  // after the first push the surface's own front is the way out
+    }
+    solver.place(start);
+    return false;
+}
+
+}  // namespace hapticlod

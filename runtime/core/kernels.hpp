@@ -1,0 +1,38 @@
+// Eight-wide kernels, one source (kernels.inl) compiled twice: baseline x86-64 and AVX2. Both are compiled without
+// contraction to fused multiply-add, so their results are equal bit for bit; the choice is made once, at load.
+#pragma once
+#include <cstdint>
+
+#include "core/layout.hpp"
+
+namespace hapticlod {
+
+// Eight candidate triangles in the solver's frame, each inflated by the radius of the ball it was gathered for.
+struct alignas(64) ItemBlock {
+    float v[9][8];
+    float radius[8];
+    std::uint32_t triangle[8];
+    std::uint32_t ball[8];
+};
+
+// What eval() says of eight items seen from one point: supporting plane n.y >= offset, and clearance d - radius.
+struct alignas(32) EvalBlock {
+    float nx[8], ny[8], nz[8];
+    float offset[8];
+    float clearance[8];
+};
+
+struct Kernels {
+    const char* name;
+    // Squared distances and closest points of a block's triangles from p.
+    void (*closest)(const TriBlock& block, const float p[3], float distance2[8], float closest[3][8]);
+    // Separating planes and clearances from p; returns the least clearance.
+    float (*eval)(const ItemBlock& block, const float p[3], EvalBlock& out);
+    // Bit k: the plane of lane k does not keep y away, n.y - offset < margin.
+    std::uint32_t (*crossed)(const EvalBlock& block, const float y[3], float margin);
+};
+
+[[nodiscard]] const Kernels& scalar_kernels() noexcept;
+[[nodiscard]] const Kernels& best_kernels() noexcept;  // AVX2 where the processor has it
+
+}  // namespace hapticlod

@@ -1,0 +1,285 @@
+// Building a level: voxel hash in bricks of 4 x 4 x 4 cells, face adjacency, vertex normals.
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+#include "core/level.hpp"
+#include "core/morton.hpp"
+#include "core/triangle.hpp"
+
+namespace hapticlod {
+namespace {
+
+constexpr std::uint32_t kBrickCells = 64;
+
+Vec3 vertex(std::span<const float> v, std::uint32_t i) {
+    return {v[3 * std::size_t{i}], v[3 * std::size_t{i} + 1], v[3 * std::size_t{i} + 2]};
+}
+
+// Does the triangle meet the box (centre, half edge)? Separating axes (Akenine-Moeller 2001), box grown by a margin so
+// that a point of the triangle always lies in a cell that lists it, whatever the rounding.
+bool meets_box(const Triangle& t, const Vec3& centre, double half) {
+    const Vec3 a = t.a - centre, b = t.b - centre, c = t.c - centre;
+    const auto apart = [half](double p, double q, double r, double radius) {
+        return std::min({p, q, r}) > radius * half || std::max({p, q, r}) < -radius * half;
+    };
+    if (apart(a.x, b.x, c.x, 1.0) || apart(a.y, b.y, c.y, 1.0) || apart(a.z, b.z, c.z, 1.0)) return false;
+    const Vec3 edges[3] = {b - a, c - b, a - c};
+    const Vec3 n = cross(edges[0], edges[1]);
+    if (std::abs(dot(n, a)) > half * (std::abs(n.x) + std::abs(n.y) + std::abs(n.z))) return false;
+    for (const Vec3& e : edges) {
+        if (apart(e.z * a.y - e.y * a.z, e.z * b.y - e.y * b.z, e.z * c.y - e.y * c.z, std::abs(e.z) + std::abs(e.y)))
+            return false;
+        if (apart(e.x * a.z - e.z * a.x, e.x * b.z - e.z * b.x, e.x * c.z - e.z * c.x, std::abs(e.x) + std::abs(e.z)))
+            return false;
+        if (apart(e.y * a.x - e.x * a.y, e.y * b.x - e.x * b.y, e.y * c.x - e.x * c.y, std::abs(e.y) + std::abs(e.x)))
+            return false;
+    }
+    return true;
+}
+
+// Bricks while building: open addressing on brick coordinates.
+class BrickTable {
+public:
+    explicit BrickTable(std::size_t expected) { resize(std::bit_ceil(std::max<std::size_t>(64, 2 * expected))); }
+
+    std::uint32_t find_or_add(std::int32_t x, std::int32_t y, std::int32_t z) {
+        if (last_ != kEmpty && bricks[last_].x == x && bricks[last_].y == y && bricks[last_].z == z) return last_;
+        std::size_t slot = brick_hash(x, y, z) & mask_;
+        while (slots_[slot] != kEmpty) {
+            const Brick& b = bricks[slots_[slot]];
+            if (b.x == x && b.y == y && b.z == z) return last_ = slots_[slot];
+            slot = (slot + 1) & mask_;
+        }
+        slots_[slot] = last_ = static_cast<std::uint32_t>(bricks.size());
+        bricks.push_back({x, y, z, 0, 0});
+        if (2 * bricks.size() > slots_.size()) grow();
+        return last_;
+    }
+
+    std::vector<Brick> bricks;
+
+private:
+    static constexpr std::uint32_t kEmpty = 0xffffffffu;
+
+    void resize(std::size_t size) {
+        slots_.assign(size, kEmpty);
+        mask_ = size - 1;
+    }
+    void grow() {
+        resize(2 * slots_.size());
+        for (std::uint32_t i = 0; i < bricks.size(); ++i) {
+            std::size_t slot = brick_hash(bricks[i].x, bricks[i].y, bricks[i].z) & mask_;
+            while (slots_[slot] != kEmpty) slot = (slot + 1) & mask_;
+            slots_[slot] = i;
+        }
+    }
+
+    std::vector<std::uint32_t> slots_;
+    std::size_t mask_ = 0;
+    std::uint32_t last_ = kEmpty;
+};
+
+struct Entry {
+    std::uint32_t cell;  // brick * 64 + cell in brick
+    std::uint32_t triangle;
+};
+
+std::vector<std::uint32_t> build_adjacency(std::span<const std::uint32_t> faces, std::size_t vertex_count) {
+    // Directed edges bucketed by their smaller vertex; an edge used by exactly two faces joins them.
+    const std::size_t edges = faces.size();
+    std::vector<std::uint32_t> first(vertex_count + 1, 0), order(edges);
+    const auto ends = [&](std::size_t e) {
+        const std::size_t f = e / 3, k = e % 3;
+        const std::uint32_t a = faces[3 * f + k], b = faces[3 * f + (k + 1) % 3];
+        return std::pair{std::min(a, b), std::max(a, b)};
+    };
+    for (std::size_t e = 0; e < edges; ++e) ++first[ends(e).first + 1];
+    std::partial_sum(first.begin(), first.end(), first.begin());
+    std::vector<std::uint32_t> next(first.begin(), first.end() - 1);
+    for (std::size_t e = 0; e < edges; ++e) order[next[ends(e).first]++] = static_cast<std::uint32_t>(e);
+    std::vector<std::uint32_t> adjacency(edges, kNoNeighbour);
+    for (std::size_t v = 0; v < vertex_count; ++v) {
+        for (std::uint32_t i = first[v]; i < first[v + 1]; ++i) {
+            std::uint32_t partner = kNoNeighbour, sharing = 0;
+            for (std::uint32_t j = first[v]; j < first[v + 1]; ++j) {
+                if (ends(order[j]).second != ends(order[i]).second) continue;
+                ++sharing;
+                if (j != i) partner = order[j];
+            }
+            if (sharing == 2) adjacency[order[i]] = partner / 3;
+        }
+    }
+    return adjacency;
+}
+
+std::vector<float> build_normals(std::span<const float> vertices, std::span<const std::uint32_t> faces) {
+    // Weighted by the angle at the vertex (Thuermer & Wuethrich 1998): independent of the triangulation.
+    std::vector<Vec3> sum(vertices.size() / 3);
+    for (std::size_t f = 0; f < faces.size(); f += 3) {
+        const Vec3 p[3] = {vertex(vertices, faces[f]), vertex(vertices, faces[f + 1]), vertex(vertices, faces[f + 2])};
+        const Vec3 n = cross(p[1] - p[0], p[2] - p[0]);
+        const double length = norm(n);
+        if (!(length > 0.0)) continue;
+        for (int k = 0; k < 3; ++k) {
+            const Vec3 u = p[(k + 1) % 3] - p[k], w = p[(k + 2) % 3] - p[k];
+            sum[faces[f + k]] += n * (std::atan2(length, dot(u, w)) / length);
+        }
+    }
+    std::vector<float> normals(vertices.size());
+    for (std::size_t i = 0; i < sum.size(); ++i) {
+        const double length = norm(sum[i]);
+        const Vec3 n = length > 0.0 ? sum[i] * (1.0 / length) : Vec3{};
+        normals[3 * i] = static_cast<float>(n.x);
+        normals[3 * i + 1] = static_cast<float>(n.y);
+        normals[3 * i + 2] = static_cast<float>(n.z);
+    }
+    return normals;
+}
+
+}  // namespace
+
+std::string LevelStorage::build(std::span<const float> vertices, std::span<const std::uint32_t> faces, double cell_mm) {
+    const std::size_t nv = vertices.size() / 3, nf = faces.size() / 3;
+    if (vertices.size() % 3 != 0 || faces.size() % 3 != 0) return "vertices and faces must come in threes";
+    if (nf == 0 || nv == 0) return "the mesh has no faces";
+    if (nf > 0x3fffffffu || nv > 0x3fffffffu) return "the mesh has more than 2^30 faces or vertices";
+    if (!(cell_mm > 0.0) || !std::isfinite(cell_mm)) return "cell_mm must be positive and finite";
+    for (const float v : vertices)
+        if (!std::isfinite(v)) return "a vertex is not finite";
+    for (const std::uint32_t i : faces)
+        if (i >= nv) return "a face index is out of range";
+
+    vertices_.assign(vertices.begin(), vertices.end());
+    faces_.assign(faces.begin(), faces.end());
+
+    header_ = HashHeader{};
+    header_.cell_mm = cell_mm;
+    for (int k = 0; k < 3; ++k) {
+        header_.bbox_min[k] = std::numeric_limits<float>::max();
+        header_.bbox_max[k] = -std::numeric_limits<float>::max();
+    }
+    for (std::size_t i = 0; i < nv; ++i)
+        for (int k = 0; k < 3; ++k) {
+            header_.bbox_min[k] = std::min(header_.bbox_min[k], vertices_[3 * i + k]);
+            header_.bbox_max[k] = std::max(header_.bbox_max[k], vertices_[3 * i + k]);
+        }
+    double extent = 0.0;
+    for (int k = 0; k < 3; ++k)
+        extent = std::max({extent, std::abs(double{header_.bbox_min[k]}), std::abs(double{header_.bbox_max[k]})});
+    if (extent / cell_mm > 1e6) return "cell_mm is too small for the size of the mesh";
+
+    // Pass 1: which cells does each triangle meet?
+    const double margin = 1e-4 * cell_mm + 4e-7 * extent;
+    BrickTable table(nf / 8);
+    std::vector<Entry> entries;
+    entries.reserve(2 * nf);
+    double edge_sum = 0.0, edge_max = 0.0;
+    for (std::uint32_t f = 0; f < nf; ++f) {
+        const Triangle t{vertex(vertices_, faces_[3 * f]), vertex(vertices_, faces_[3 * f + 1]),
+                         vertex(vertices_, faces_[3 * f + 2])};
+        for (const double e : {norm(t.b - t.a), norm(t.c - t.b), norm(t.a - t.c)})
+            edge_sum += e, edge_max = std::max(edge_max, e);
+        std::int32_t lo[3], hi[3];
+        const double least[3] = {std::min({t.a.x, t.b.x, t.c.x}), std::min({t.a.y, t.b.y, t.c.y}),
+                                 std::min({t.a.z, t.b.z, t.c.z})};
+        const double most[3] = {std::max({t.a.x, t.b.x, t.c.x}), std::max({t.a.y, t.b.y, t.c.y}),
+                                std::max({t.a.z, t.b.z, t.c.z})};
+        bool single = true;
+        for (int k = 0; k < 3; ++k) {
+            lo[k] = static_cast<std::int32_t>(std::floor((least[k] - margin) / cell_mm));
+            hi[k] = static_cast<std::int32_t>(std::floor((most[k] + margin) / cell_mm));
+            single = single && lo[k] == hi[k];
+        }
+        for (std::int32_t z = lo[2]; z <= hi[2]; ++z)
+            for (std::int32_t y = lo[1]; y <= hi[1]; ++y)
+                for (std::int32_t x = lo[0]; x <= hi[0]; ++x) {
+                    if (!single && !meets_box(t, {(x + 0.5) * cell_mm, (y + 0.5) * cell_mm, (z + 0.5) * cell_mm},
+                                              0.5 * cell_mm + margin))
+                        continue;
+                    const std::uint32_t brick = table.find_or_add(x >> 2, y >> 2, z >> 2);
+                    const std::uint32_t cell = (x & 3) + 4 * (y & 3) + 16 * (z & 3);
+                    table.bricks[brick].mask |= std::uint64_t{1} << cell;
+                    entries.push_back({brick * kBrickCells + cell, f});
+                }
+        if (entries.size() > 0xf0000000u || table.bricks.size() > 0x3ffffffu)
+            return "cell_mm is too small: the hash would not fit";
+    }
+    header_.mean_edge_mm = static_cast<float>(edge_sum / (3.0 * static_cast<double>(nf)));
+    header_.max_edge_mm = static_cast<float>(edge_max);
+
+    // Bricks in Morton order: neighbours in space are neighbours in memory.
+    const std::size_t nb = table.bricks.size();
+    std::vector<std::uint32_t> order(nb), rank(nb);
+    std::iota(order.begin(), order.end(), 0u);
+    std::vector<std::uint64_t> keys(nb);
+    for (std::size_t i = 0; i < nb; ++i) keys[i] = morton(table.bricks[i].x, table.bricks[i].y, table.bricks[i].z);
+    std::sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return keys[a] < keys[b]; });
+    bricks_.resize(nb);
+    for (std::uint32_t i = 0; i < nb; ++i) bricks_[i] = table.bricks[order[i]], rank[order[i]] = i;
+    std::uint32_t cell_count = 0;
+    for (int k = 0; k < 3; ++k) header_.brick_min[k] = 0x7fffffff, header_.brick_max[k] = -0x7fffffff;
+    for (Brick& b : bricks_) {
+        b.first_cell = cell_count;
+        cell_count += static_cast<std::uint32_t>(std::popcount(b.mask));
+        const std::int32_t at[3] = {b.x, b.y, b.z};
+        for (int k = 0; k < 3; ++k) {
+            header_.brick_min[k] = std::min(header_.brick_min[k], at[k]);
+            header_.brick_max[k] = std::max(header_.brick_max[k], at[k]);
+        }
+    }
+
+    // Pass 2: count, then place triangles into blocks of eight.
+    std::vector<std::uint32_t> count(cell_count, 0);
+    for (Entry& e : entries) {
+        const Brick& b = bricks_[rank[e.cell / kBrickCells]];
+        const std::uint64_t below = b.mask & ((std::uint64_t{1} << (e.cell % kBrickCells)) - 1);
+        e.cell = b.first_cell + static_cast<std::uint32_t>(std::popcount(below));
+        ++count[e.cell];
+    }
+    cells_.assign(cell_count + 1, 0);
+    for (std::uint32_t c = 0; c < cell_count; ++c) cells_[c + 1] = cells_[c] + (count[c] + 7) / 8;
+    blocks_.resize(cells_[cell_count]);
+    std::fill(count.begin(), count.end(), 0);
+    for (const Entry& e : entries) {
+        const std::uint32_t at = count[e.cell]++;
+        TriBlock& block = blocks_[cells_[e.cell] + at / 8];
+        const std::uint32_t lane = at % 8;
+        for (int corner = 0; corner < 3; ++corner)
+            for (int k = 0; k < 3; ++k)
+                block.v[3 * corner + k][lane] = vertices_[3 * std::size_t{faces_[3 * e.triangle + corner]} + k];
+        block.id[lane] = e.triangle;
+    }
+    for (std::uint32_t c = 0; c < cell_count; ++c) {
+        if (count[c] % 8 == 0) continue;
+        TriBlock& block = blocks_[cells_[c + 1] - 1];
+        for (std::uint32_t lane = count[c] % 8; lane < 8; ++lane) {
+            for (auto& row : block.v) row[lane] = row[0];
+            block.id[lane] = kNoNeighbour;
+        }
+    }
+
+    const std::size_t slots = std::bit_ceil(2 * nb);
+    table_.assign(slots, 0);
+    for (std::uint32_t i = 0; i < nb; ++i) {
+        std::size_t slot = brick_hash(bricks_[i].x, bricks_[i].y, bricks_[i].z) & (slots - 1);
+        while (table_[slot] != 0) slot = (slot + 1) & (slots - 1);
+        table_[slot] = i + 1;
+    }
+    header_.table_size = static_cast<std::uint32_t>(slots);
+    header_.brick_count = static_cast<std::uint32_t>(nb);
+    header_.cell_count = cell_count;
+    header_.block_count = static_cast<std::uint32_t>(blocks_.size());
+
+    adjacency_ = build_adjacency(faces_, nv);
+    normals_ = build_normals(vertices_, faces_);
+    return {};
+}
+
+LevelView LevelStorage::view() const {
+    return {vertices_, faces_, adjacency_, normals_, &header_, table_, bricks_, cells_, blocks_};
+}
+
+}  // namespace hapticlod

@@ -1,0 +1,121 @@
+#include "core/mapping.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+
+#include "core/inside.hpp"
+
+namespace hapticlod {
+namespace {
+
+// The stretch of the line p + t n, |t| <= c, on which the tool is too near to the triangle. Empty: from > to.
+Interval blocked(const Triangle& t, const Vec3& p, const Vec3& n, double c, double kept, double precision, double side) {
+    const Vec3 face = cross(t.b - t.a, t.c - t.a);
+    const double length = norm(face);
+    // Resting against a face from its other side would mean having passed through it.
+    const bool facing = !(length > 0.0) || side * dot(face, n) > -0.1 * length;
+    const Vec3 lo = p - n * c, hi = p + n * c, up = n * (2.0 * c);
+    const bool blocked_lo = closest_on_triangle(lo, t).distance2 < kept * kept;
+    const bool blocked_hi = closest_on_triangle(hi, t).distance2 < kept * kept;
+    const double enter = blocked_lo ? 0.0 : time_of_touch(t, lo, up, kept, precision);
+    if (enter > 1.0) return {1.0, -1.0, false};
+    const double leave = blocked_hi ? 0.0 : time_of_touch(t, hi, -up, kept, precision);
+    if (leave > 1.0) return {1.0, -1.0, false};
+    return {-c + 2.0 * c * enter, blocked_hi ? 2.0 * c : c - 2.0 * c * leave, facing};
+}
+
+}  // namespace
+
+MappingOutcome Mapper::two_sided(ContactSolver& solver, const ContactMemory& memory, double l_in_mm, double l_out_mm,
+                                 double bound_mm, std::span<const SolverBall> balls, TickCounters& counters) {
+    Candidates& candidates = solver.candidates();
+    const Vec3 x = solver.position(), n = memory.normal;
+    const double longest = std::max(l_in_mm, l_out_mm), precision = 0.02 * solver.tolerances().skin;
+    const std::uint32_t cells = counters.cells;
+    double c = std::min(std::max(0.25 * solver.cell_mm(), 64.0 * solver.tolerances().skin), longest);
+    MappingOutcome outcome = MappingOutcome::miss;
+    while (longest > 0.0) {
+        const double granted = candidates.gather(x, c, balls, counters);
+        if (granted < c) {
+            counters.errors |= kErrCandidates;
+            if (granted <= 0.0) break;
+        }
+        const double within = std::min(c, granted);
+        std::size_t count = 0;
+        for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
+            const ItemBlock& b = candidates.block(i);
+            counters.tests += 8;
+            for (std::uint32_t k = 0; k < candidates.lanes(i); ++k) {
+                const Interval v =
+                    blocked(item_triangle(b, k), {}, n, within, balls[b.ball[k]].kept, precision, memory.side);
+                if (v.from <= v.to) intervals_[count++] = v;
+            }
+        }
+        // Tops of the union of blocked stretches: there the tool rests.
+        std::sort(intervals_.begin(), intervals_.begin() + static_cast<std::ptrdiff_t>(count),
+                  [](const Interval& a, const Interval& b) { return a.from < b.from; });
+        double best = 0.0;
+        bool found = false;
+        for (std::size_t i = 0; i < count;) {
+            double top = intervals_[i].to;
+            bool facing = intervals_[i].facing;
+            for (++i; i < count && intervals_[i].from <= top; ++i)
+                if (intervals_[i].to > top) top = intervals_[i].to, facing = intervals_[i].facing;
+            if (!facing || top < -l_in_mm || top > l_out_mm || std::abs(top) > within) continue;
+            if (!found || std::abs(top) < std::abs(best)) best = top, found = true;
+        }
+        if (found) {
+            solver.place(x + n * best);
+            outcome = MappingOutcome::hit;
+            break;
+        }
+        if (granted < c || c >= longest) break;
+        c = std::min(2.0 * c, longest);
+    }
+    if (outcome == MappingOutcome::miss && bound_mm > 0.0 &&
+        place_on_closest(solver, balls, bound_mm, &memory, counters))
+        outcome = MappingOutcome::closest;
+    candidates.invalidate();
+    counters.mapping_cells += counters.cells - cells;
+    return outcome;
+}
+
+MappingOutcome Mapper::paper(ContactSolver& solver, const LevelView& level, const ContactMemory& memory,
+                             double length_mm, TickCounters& counters) {
+    const double h = level.hash->cell_mm;
+    const Vec3 p = memory.point, q = p + memory.normal * length_mm;
+    const double from[3] = {p.x, p.y, p.z}, to[3] = {q.x, q.y, q.z};
+    std::int32_t lo[3], hi[3];
+    for (int k = 0; k < 3; ++k) {
+        const std::int32_t first = 4 * level.hash->brick_min[k], last = 4 * level.hash->brick_max[k] + 3;
+        lo[k] = static_cast<std::int32_t>(std::clamp(std::floor(std::min(from[k], to[k]) / h), first - 1.0, last + 1.0));
+        hi[k] = static_cast<std::int32_t>(std::clamp(std::floor(std::max(from[k], to[k]) / h), first - 1.0, last + 1.0));
+    }
+    double nearest = 2.0;
+    for (std::int32_t z = lo[2]; z <= hi[2]; ++z)
+        for (std::int32_t y = lo[1]; y <= hi[1]; ++y)
+            for (std::int32_t x = lo[0]; x <= hi[0]; ++x) {
+                ++counters.cells;
+                ++counters.mapping_cells;
+                const Brick* brick = find_brick(level, x >> 2, y >> 2, z >> 2);
+                const int bit = (x & 3) + 4 * (y & 3) + 16 * (z & 3);
+                if (brick == nullptr || (brick->mask >> bit & 1u) == 0) continue;
+                const std::uint64_t below = brick->mask & ((std::uint64_t{1} << bit) - 1);
+                const std::uint32_t cell = brick->first_cell + static_cast<std::uint32_t>(std::popcount(below));
+                for (std::uint32_t b = level.cells[cell]; b < level.cells[cell + 1]; ++b) {
+                    counters.triangles += 8;
+                    for (std::uint32_t k = 0; k < 8; ++k) {
+                        const auto& v = level.blocks[b].v;
+                        const Triangle t{{v[0][k], v[1][k], v[2][k]}, {v[3][k], v[4][k], v[5][k]}, {v[6][k], v[7][k], v[8][k]}};
+                        nearest = std::min(nearest, segment_hit(p, q, t));
+                    }
+                }
+            }
+    solver.candidates().invalidate();
+    if (nearest > 1.0) return MappingOutcome::miss;
+    solver.place(solver.position() + memory.normal * (length_mm * nearest));
+    return MappingOutcome::hit;
+}
+
+}  // namespace hapticlod

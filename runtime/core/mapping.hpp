@@ -1,0 +1,42 @@
+// Carrying the contact from one level to the next (Zhou et al. 2009, section 2.3), and its two-sided successor.
+#pragma once
+#include <span>
+#include <vector>
+
+#include "core/contact.hpp"
+
+namespace hapticlod {
+
+// What is known of the contact on the level that is being left.
+struct ContactMemory {
+    Vec3 normal;           // direction of the last force
+    Vec3 point;            // contact point on the surface
+    std::uint32_t ball = 0;
+    double side = 1.0;     // +1: touched from the front of its triangle, -1: from behind
+};
+
+struct Interval {
+    double from, to;
+    bool facing;
+};
+
+class Mapper {
+public:
+    void allocate() { intervals_.resize(Candidates::kMaxBlocks * 8); }
+    static constexpr std::size_t bytes() { return Candidates::kMaxBlocks * 8 * sizeof(Interval); }
+
+    // Moves the solver's reference point onto the bound level. Nearest touch on [SCP - l_in n, SCP + l_out n], the
+    // tool swept along it; otherwise the closest point within bound_mm; otherwise a miss (the point is left alone).
+    MappingOutcome two_sided(ContactSolver& solver, const ContactMemory& memory, double l_in_mm, double l_out_mm,
+                             double bound_mm, std::span<const SolverBall> balls, TickCounters& counters);
+
+    // The paper's rule: one-sided [P, P + l n] from the contact point, all voxels of the box of the two corner voxels,
+    // the nearest intersection becomes the contact point; on a miss the SCP stays and contact detection decides.
+    static MappingOutcome paper(ContactSolver& solver, const LevelView& level, const ContactMemory& memory,
+                                double length_mm, TickCounters& counters);
+
+private:
+    std::vector<Interval> intervals_;
+};
+
+}  // namespace hapticlod

@@ -1,0 +1,317 @@
+#include "core/renderer.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "core/blend.hpp"
+#include "core/config_check.hpp"
+#include "core/contact.hpp"
+#include "core/flush_denormals.hpp"
+#include "core/force_gate.hpp"
+#include "core/inside.hpp"
+#include "core/mapping.hpp"
+#include "core/speed.hpp"
+#include "core/surface.hpp"
+#include "core/switching.hpp"
+
+namespace hapticlod {
+
+struct Renderer::State {
+    ConfigData config{};
+    std::vector<LevelView> levels;
+    std::vector<Vec3> tool_centres;
+    std::vector<SolverBall> balls;
+    Tolerances tolerances;
+    double extent_mm = 0.0;
+
+    ContactSolver solver;
+    Mapper mapper;
+    SpeedEstimator speed;
+    LevelSwitch level_switch;
+    Blend blend;
+    ForceGate gate;
+
+    bool started = false;
+    double time_s = 0.0;
+    Vec3 hip;  // relative to the origin
+    double orientation[4] = {1.0, 0.0, 0.0, 0.0};
+    Contact contact;
+    ContactMemory memory;
+
+    [[nodiscard]] std::span<const SolverBall> tool(std::uint32_t level) const {
+        return {balls.data(), std::min<std::size_t>(config.balls[level], balls.size())};
+    }
+    void forget();
+    double accept_pose(const Pose& pose, double time_s, TickCounters& counters);
+    void turn(const double q[4]);
+    void start(TickCounters& counters);
+    MappingOutcome switch_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
+    MappingOutcome change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
+    void touch(std::uint32_t level, const Vec3& target, double motion_mm, TickCounters& counters);
+    [[nodiscard]] Vec3 force(std::uint32_t level, const Vec3& scp) const;
+};
+
+Renderer::Renderer() : state_(std::make_unique<State>()) {}
+Renderer::~Renderer() = default;
+Renderer::Renderer(Renderer&&) noexcept = default;
+Renderer& Renderer::operator=(Renderer&&) noexcept = default;
+
+std::string Renderer::load(const ConfigData& config, std::span<const LevelView> levels,
+                           std::span<const BallData> tool) {
+    if (std::string fault = check_config(config); !fault.empty()) return fault;
+    if (levels.size() != config.level_count) return "the number of levels differs from level_count";
+    if (tool.empty() || tool.size() > kMaxBalls) return "a tool needs 1 to 4096 balls";
+    for (const LevelView& level : levels)
+        if (level.hash == nullptr || level.triangle_count() == 0) return "a level is empty";
+    State& s = *state_;
+    s.config = config;
+    s.levels.assign(levels.begin(), levels.end());
+    const HashHeader& h = *levels[0].hash;
+    s.extent_mm = norm(Vec3{h.bbox_max[0] - h.bbox_min[0], h.bbox_max[1] - h.bbox_min[1], h.bbox_max[2] - h.bbox_min[2]});
+    if (!(s.extent_mm > 0.0)) return "level 0 has no extent";
+    s.tolerances = Tolerances::of_extent(s.extent_mm);
+    s.tool_centres.clear();
+    s.balls.clear();
+    for (const BallData& b : tool) {
+        const Vec3 centre = load3(b.centre_mm);
+        if (!centre.finite() || !(b.radius_mm >= 0.0) || !std::isfinite(b.radius_mm))
+            return "a ball of the tool is not finite or has a negative radius";
+        s.tool_centres.push_back(centre);
+        const double kept = std::max(b.radius_mm, 0.5 * config.crack_mm) + s.tolerances.skin;
+        s.balls.push_back({centre, b.radius_mm, kept});
+    }
+    s.solver.allocate(s.balls.size());
+    s.mapper.allocate();
+    s.forget();
+    return {};
+}
+
+void Renderer::State::forget() {
+    started = false;
+    speed.reset();
+    level_switch.reset();
+    blend.reset();
+    gate.reset();
+    contact = {};
+    const double identity[4] = {1.0, 0.0, 0.0, 0.0};
+    turn(identity);
+    solver.bind(levels[0], best_kernels(), tolerances);
+}
+
+void Renderer::reset() noexcept { state_->forget(); }
+void Renderer::set_coarsest_floor(std::uint32_t level) noexcept { state_->level_switch.set_floor(level); }
+const ConfigData& Renderer::config() const noexcept { return state_->config; }
+std::size_t Renderer::scratch_bytes() const noexcept {
+    return sizeof(State) + state_->solver.candidates().bytes() + Mapper::bytes();
+}
+
+// Rotates the tool about its reference point.
+void Renderer::State::turn(const double q[4]) {
+    double moved = 0.0;
+    for (std::size_t i = 0; i < balls.size(); ++i) {
+        const Vec3 to = rotate(q, tool_centres[i]);
+        moved = std::max(moved, norm(to - balls[i].offset));
+        balls[i].offset = to;
+    }
+    std::copy(q, q + 4, orientation);
+    if (moved > 0.0) solver.candidates().rotated(moved);
+}
+
+// Takes position, orientation and time where they are valid, and says how long the period was.
+double Renderer::State::accept_pose(const Pose& pose, double now_s, TickCounters& counters) {
+    const double nominal = 1.0 / config.loop_hz;
+    double dt = nominal;
+    if (started) {
+        dt = now_s - time_s;
+        if (!(dt > 0.0) || !std::isfinite(dt)) counters.errors |= kErrPeriod, dt = nominal;
+    }
+    time_s = std::isfinite(now_s) ? now_s : time_s + nominal;
+    const double* q = pose.orientation;
+    const double length2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+    const Vec3 position = load3(pose.position_mm) - load3(config.origin_mm);
+    if (!position.finite() || !(std::abs(length2 - 1.0) < 1e-2)) {
+        counters.errors |= kErrHipNotFinite;
+        return dt;
+    }
+    if (started && norm(position - hip) > extent_mm) {
+        counters.errors |= kErrHipJump;
+        forget();
+    }
+    hip = position;
+    if (!std::equal(q, q + 4, orientation)) {
+        const double scale = 1.0 / std::sqrt(length2);
+        const double unit[4] = {q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale};
+        turn(unit);
+        std::copy(q, q + 4, orientation);
+    }
+    return dt;
+}
+
+// First tick: where the tool overlaps the surface, contact begins at the nearest place outside it, softly.
+void Renderer::State::start(TickCounters& counters) {
+    solver.place(hip);
+    const SurfaceSide side = surface_side(solver, tool(0), 0.05 * extent_mm, counters);
+    if (!side.found || side.distance >= tool(0)[side.ball].kept) return;
+    counters.errors |= kErrStartInside;
+    gate.engage(config.engage_s);
+    place_on_closest(solver, tool(0), 0.1 * extent_mm, nullptr, counters);
+}
+
+MappingOutcome Renderer::State::change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip,
+                                             TickCounters& counters) {
+    const bool paper = config.mapping == static_cast<std::uint32_t>(Mapping::paper);
+    if (contact.active == 0) {
+        // In free space, but outside this level may be inside the next: the tool must not start behind it.
+        const double bound = paper ? 0.0 : config.closest_bound_mm;
+        if (bound > 0.0) {
+            const SurfaceSide before = surface_side(solver, tool(from), bound, counters);
+            solver.bind(levels[to], best_kernels(), tolerances);
+            const SurfaceSide after = surface_side(solver, tool(to), bound, counters);
+            const bool was_outside = !before.found || before.distance >= 0.0;
+            if (was_outside && after.found && after.distance < tool(to)[after.ball].kept)
+                place_on_closest(solver, tool(to), bound, nullptr, counters);
+        } else {
+            solver.bind(levels[to], best_kernels(), tolerances);
+        }
+        return MappingOutcome::none;
+    }
+    solver.bind(levels[to], best_kernels(), tolerances);
+    if (paper) return Mapper::paper(solver, levels[to], memory, config.l_out_mm, counters);
+    const MappingOutcome outcome = mapper.two_sided(solver, memory, config.l_in_mm, config.l_out_mm,
+                                                    config.closest_bound_mm, tool(to), counters);
+    if (outcome == MappingOutcome::miss) {
+        solver.place(last_hip);
+        counters.errors |= kErrContactLost;
+    }
+    return outcome;
+}
+
+// Changes the level with the HIP where it was in the last tick: what the blend must hide is the change alone.
+MappingOutcome Renderer::State::switch_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip,
+                                             TickCounters& counters) {
+    const bool touching = contact.active > 0;
+    const Vec3 rendered = blend.rendered(contact.scp, norm(contact.scp - last_hip));
+    const MappingOutcome outcome = change_level(from, to, last_hip, counters);
+    if (!touching) return outcome;
+    contact.active = 0;  // friction holds nothing of the old level
+    if (outcome != MappingOutcome::miss && config.blend_s > 0.0) {
+        touch(to, last_hip, 0.0, counters);
+        if (contact.active > 0) blend.begin(rendered - contact.scp, config.blend_s, norm(contact.scp - last_hip));
+    }
+    return outcome;
+}
+
+// Contact at the target with Coulomb friction: the SCP holds until the pull leaves the static cone, then trails the
+// frictionless SCP at the radius of the dynamic cone (Harwin & Melder 2002).
+void Renderer::State::touch(std::uint32_t level, const Vec3& target, double motion_mm, TickCounters& counters) {
+    const bool held = contact.active > 0;
+    const Vec3 from = solver.position(), anchor = contact.scp;
+    Contact free = solver.advance(target, tool(level), motion_mm, counters);
+    if (config.friction_static > 0.0 && held && free.active > 0) {
+        const double depth = norm(free.scp - target), pull = norm(free.scp - anchor);
+        if (pull <= config.friction_static * depth) {
+            solver.place(from);
+            free.scp = anchor;
+        } else if (config.friction_dynamic > 0.0 && pull > 0.0) {
+            const double trail = std::min(config.friction_dynamic * depth / pull, 1.0);
+            solver.place(from);
+            const Contact slid = solver.advance(target + (anchor - free.scp) * trail, tool(level), motion_mm, counters);
+            if (slid.active > 0) free = slid;
+        }
+    }
+    contact = free;
+    if (contact.active == 0) return;
+    int strongest = 0;
+    for (int i = 1; i < contact.active; ++i)
+        if (contact.multiplier[i] > contact.multiplier[strongest]) strongest = i;
+    const ContactPlane& p = contact.planes[strongest];
+    const Vec3 d = contact.scp - target;
+    const double depth = norm(d);
+    memory.normal = depth > 0.0 ? d * (1.0 / depth) : p.normal;
+    memory.point = p.point;
+    memory.ball = p.ball;
+    memory.side = dot(face_normal(levels[level], p.triangle), p.normal) < 0.0 ? -1.0 : 1.0;
+}
+
+Vec3 Renderer::State::force(std::uint32_t level, const Vec3& scp) const {
+    Vec3 d = scp - hip;
+    if (config.shading != 0) {
+        Vec3 sum;
+        for (int i = 0; i < contact.active; ++i)
+            sum += shaded_normal(levels[level], contact.planes[i].triangle, contact.planes[i].point,
+                                 contact.planes[i].normal) *
+                   contact.multiplier[i];
+        if (const double length = norm(sum); length > 0.0) d = sum * (norm(d) / length);
+    }
+    const Vec3 spring = d * config.stiffness_n_mm;
+    const Vec3 damped = spring - speed.velocity() * config.damping_n_s_mm;
+    // Damping resists; it never pulls the tool onto the surface.
+    const double size2 = norm2(d);
+    const double along = dot(damped, d);
+    return size2 > 0.0 && along < 0.0 ? damped - d * (along / size2) : damped;
+}
+
+void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
+    const FlushDenormals flush;
+    State& s = *state_;
+    out = TickRecord{};
+    out.time_s = time_s;
+    TickCounters counters;
+    const Vec3 last_hip = s.hip;
+    const bool first = !s.started;
+    const double dt = s.accept_pose(pose, time_s, counters);
+    if (!s.started && (counters.errors & kErrHipNotFinite) != 0) {
+        out.errors = counters.errors;
+        return;
+    }
+    if (!s.started) {
+        s.started = true;
+        s.start(counters);
+    }
+    const double motion_mm = first ? 0.0 : norm(s.hip - last_hip);
+
+    const Vec3 velocity = s.speed.update(s.hip, dt, s.config.filter_hz);
+    const double speed_mm_s = norm(velocity);
+    const bool by_distance = s.config.policy == static_cast<std::uint32_t>(Policy::distance);
+    const double measure = by_distance ? s.solver.free_distance() : speed_mm_s;
+    const std::uint32_t before = s.level_switch.level();
+    const std::uint32_t level = s.level_switch.update(s.config, measure, dt);
+    MappingOutcome outcome = MappingOutcome::none;
+    if (level != before) outcome = s.switch_level(before, level, last_hip, counters);
+    s.touch(level, s.hip, motion_mm, counters);
+
+    Vec3 force, scp = s.contact.scp;
+    if (s.contact.active > 0) {
+        scp = s.blend.rendered(s.contact.scp, norm(s.contact.scp - s.hip));
+        force = s.force(level, scp);
+    } else {
+        s.blend.reset();
+    }
+    s.blend.advance(dt);
+    force = s.gate.apply(s.config, force, dt, counters.errors);
+
+    Vec3 torque;
+    for (int i = 0; i < s.contact.active; ++i)
+        torque += cross(s.contact.planes[i].point - s.contact.scp,
+                        s.contact.planes[i].normal * (s.contact.multiplier[i] * s.config.stiffness_n_mm));
+    const Vec3 origin = load3(s.config.origin_mm);
+    (s.hip + origin).store(out.hip_mm);
+    (scp + origin).store(out.scp_mm);
+    force.store(out.force_n);
+    torque.store(out.torque_n_mm);
+    out.speed_mm_s = static_cast<float>(speed_mm_s);
+    out.level = static_cast<std::uint8_t>(level);
+    out.contact = s.contact.active > 0 ? 1 : 0;
+    out.mapping = static_cast<std::uint8_t>(outcome);
+    out.constraints = static_cast<std::uint8_t>(s.contact.active);
+    out.errors = counters.errors;
+    out.cells = counters.cells;
+    out.triangles = counters.triangles;
+    out.tests = counters.tests;
+    out.iterations = counters.iterations;
+    out.balls = counters.balls;
+    out.mapping_cells = counters.mapping_cells;
+}
+
+}  // namespace hapticlod
