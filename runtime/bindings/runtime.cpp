@@ -78,8 +78,7 @@ public:
             keep_.append(level);
         }
         std::vector<hapticlod::BallData> tool(balls.shape(0));
-        for (std::size_t i = 0; i < tool.size(); ++i)
-            tool[i] = {{balls(i, 0), balls(i, 1), balls(i, 2)}, balls(i, 3)};
+        for (std::size_t i = 0; i < tool.size(); ++i) tool[i] = {{balls(i, 0), balls(i, 1), balls(i, 2)}, balls(i, 3)};
         if (const std::string fault = renderer_.load(data, views, tool); !fault.empty())
             throw std::invalid_argument(fault);
     }
@@ -141,7 +140,8 @@ NB_MODULE(_runtime, m) {
     m.attr("HASH_SIZE") = sizeof(hapticlod::HashHeader);
     m.attr("BRICK_SIZE") = sizeof(hapticlod::Brick);
     m.attr("BLOCK_SIZE") = sizeof(hapticlod::TriBlock);
-    m.def("kernels", [] { return hapticlod::best_kernels().name; }, "Name of the kernels in use on this processor.");
+    m.def(
+        "kernels", [] { return hapticlod::best_kernels().name; }, "Name of the kernels in use on this processor.");
 
     nb::class_<Level>(m, "Level", "A mesh and its voxel hash. vertices (n, 3) float32 mm, faces (m, 3) uint32.")
         .def(nb::init<const FloatRows&, const IndexRows&, double>(), "vertices"_a, "faces"_a, "cell_mm"_a)

@@ -5,7 +5,6 @@
 #include <cmath>
 #include <limits>
 
-
 namespace hapticlod {
 namespace {
 
@@ -67,8 +66,7 @@ bool Candidates::append(const TriBlock& block, std::uint32_t lane, const Vec3& b
     if (at >= kMaxBlocks) return false;
     ItemBlock& out = blocks_[at];
     const double shift[3] = {ball_centre.x, ball_centre.y, ball_centre.z};
-    for (int row = 0; row < 9; ++row)
-        out.v[row][to] = static_cast<float>(double{block.v[row][lane]} - shift[row % 3]);
+    for (int row = 0; row < 9; ++row) out.v[row][to] = static_cast<float>(double{block.v[row][lane]} - shift[row % 3]);
     out.radius[to] = static_cast<float>(ball.kept);
     out.triangle[to] = block.id[lane];
     out.ball[to] = index;
@@ -99,7 +97,7 @@ bool Candidates::gather_ball(const SolverBall& ball, std::uint32_t index, double
     const HashHeader& hash = *level_.hash;
     const double h = hash.cell_mm;
     const Vec3 centre = centre_ + ball.offset;
-    const double inner = ball.kept + reach;              // triangles within this distance become items
+    const double inner = ball.kept + reach;                       // triangles within this distance become items
     const double outer = inner + std::max(2.0 * h, 3.0 * reach);  // emptiness is known up to this distance
     const double at[3] = {centre.x, centre.y, centre.z};
     std::int32_t lo[3], hi[3];
@@ -164,7 +162,8 @@ bool Candidates::gather_ball(const SolverBall& ball, std::uint32_t index, double
     };
 
     const std::int32_t first[3] = {lo[0] >> 2, lo[1] >> 2, lo[2] >> 2}, last[3] = {hi[0] >> 2, hi[1] >> 2, hi[2] >> 2};
-    const double volume = double(last[0] - first[0] + 1) * double(last[1] - first[1] + 1) * double(last[2] - first[2] + 1);
+    const double volume =
+        double(last[0] - first[0] + 1) * double(last[1] - first[1] + 1) * double(last[2] - first[2] + 1);
     if (volume > hash.brick_count) {
         for (const Brick& brick : level_.bricks)
             if (!visit(brick)) return false;
@@ -187,8 +186,7 @@ bool Candidates::gather_ball(const SolverBall& ball, std::uint32_t index, double
     return true;
 }
 
-double Candidates::gather(const Vec3& centre, double reach, std::span<const SolverBall> balls,
-                          TickCounters& counters) {
+double Candidates::gather(const Vec3& centre, double reach, std::span<const SolverBall> balls, TickCounters& counters) {
     odometer_ += norm(centre - centre_);
     centre_ = centre;
     for (int attempt = 0;; ++attempt) {

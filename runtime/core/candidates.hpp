@@ -24,8 +24,8 @@ struct TickCounters {
 // (never below the skin, so that a point has an outside and an inside).
 struct SolverBall {
     Vec3 offset;
-    double radius = 0.0;       // of the tool
-    double kept = 0.0;         // distance the centre keeps: max(radius, crack / 2) + skin
+    double radius = 0.0;  // of the tool
+    double kept = 0.0;    // distance the centre keeps: max(radius, crack / 2) + skin
 };
 
 class Candidates {

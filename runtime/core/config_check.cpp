@@ -47,7 +47,8 @@ std::string check_config(const ConfigData& c) {
         if (std::string fault = number_fault(f.name, f.value, f.least, f.most); !fault.empty()) return fault;
     for (std::uint32_t i = 0; i < c.level_count; ++i) {
         if (i + 1 < c.level_count) {
-            if (std::string fault = number_fault("speeds_mm_s", c.speeds_mm_s[i], 0.0, 1e9); !fault.empty()) return fault;
+            if (std::string fault = number_fault("speeds_mm_s", c.speeds_mm_s[i], 0.0, 1e9); !fault.empty())
+                return fault;
             if (i > 0 && c.speeds_mm_s[i] < c.speeds_mm_s[i - 1]) return "speeds_mm_s must not decrease";
         }
         if (c.balls[i] < 1 || c.balls[i] > kMaxBalls) return "balls of a level is outside [1, 4096]";

@@ -5,11 +5,34 @@
 #include <cmath>
 #include <limits>
 
-
 namespace hapticlod {
 namespace {
 
-constexpr int kMaxIterations = 200;
+constexpr int kMaxIterations = 100;
+
+// Sliding over a rounded edge converges linearly, slowly where the HIP is near the centre of curvature. Successive
+// steps in one direction tell the rate (Aitken), and the step is stretched to where they lead; it is swept all the
+// same.
+class Slide {
+public:
+    double stretch(const Vec3& step, double length) {
+        if (last_length_ > 0.0 && dot(step, last_) > 0.9 * length * last_length_) {
+            const double ratio = length / last_length_;
+            if (++run_ >= 3) stretch_ = std::min(ratio < 1.0 ? stretch_ / (1.0 - ratio) : 2.0 * stretch_, 64.0);
+        } else {
+            stretch_ = 1.0;
+            run_ = 0;
+        }
+        last_ = step;
+        last_length_ = length;
+        return stretch_;
+    }
+
+private:
+    Vec3 last_;
+    double last_length_ = 0.0, stretch_ = 1.0;
+    int run_ = 0;
+};
 
 }  // namespace
 
@@ -81,9 +104,10 @@ void ContactSolver::collect_touching(std::span<const SolverBall> balls) {
                 ++count;
             }
             const Touch touch{d - ball.kept,
-                              {n, dot(n, c.point) + ball.kept, c.point + ball.offset, ball.kept - ball.radius, b.triangle[k],
-                               b.ball[k]},
-                              i, k};
+                              {n, dot(n, c.point) + ball.kept, c.point + ball.offset, ball.kept - ball.radius,
+                               b.triangle[k], b.ball[k]},
+                              i,
+                              k};
             for (; at > 0 && touches_[at - 1].clearance > touch.clearance; --at) touches_[at] = touches_[at - 1];
             touches_[at] = touch;
         }
@@ -104,14 +128,15 @@ double ContactSolver::sweep(const Vec3& step, std::span<const SolverBall> balls)
     for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
         if (candidates_.key(i) - path_ > length) continue;
         const ItemBlock& b = candidates_.block(i);
-        for (std::uint32_t bits = kernels_->crossed(candidates_.evaluation(i), to, margin); bits != 0; bits &= bits - 1) {
+        for (std::uint32_t bits = kernels_->crossed(candidates_.evaluation(i), to, margin); bits != 0;
+             bits &= bits - 1) {
             const auto k = static_cast<std::uint32_t>(std::countr_zero(bits));
             const Triangle t = item_triangle(b, k);
             const double kept = balls[b.ball[k]].kept;
             if (separated(t, kept)) continue;
             const double reach = std::min(first, 1.0);
-            const double at = time_of_touch(t, local_, step * reach, kept - 0.5 * tolerances_.skin,
-                                            0.05 * tolerances_.skin);
+            const double at =
+                time_of_touch(t, local_, step * reach, kept - 0.5 * tolerances_.skin, 0.05 * tolerances_.skin);
             if (at <= 1.0) first = at * reach;
         }
     }
@@ -124,6 +149,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
     out.converged = false;
     const double shortest = std::max(0.5 * mean_edge_mm_, 16.0 * tolerances_.skin);
     const double wanted = std::clamp(3.0 * motion_mm, shortest, std::max(4.0 * cell_mm_, shortest));
+    Slide slide;
     for (int k = 0; k < kMaxIterations; ++k) {
         ++counters.iterations;
         // Candidates are good while x and everything within touching distance stays inside their reach.
@@ -132,7 +158,12 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
             const double granted = candidates_.gather(x_, wanted, balls, counters);
             if (granted < wanted) counters.errors |= kErrCandidates;
             path_ = 0.0;
-            if (granted <= 2.0 * slack) return out;
+            if (granted <= 2.0 * slack) {
+                counters.errors |= kErrNotConverged;
+                out.scp = x_;
+                out.active = 0;
+                return out;
+            }
         }
         const Vec3 centre = candidates_.centre();
         local_ = x_ - centre;
@@ -141,11 +172,21 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         collect_touching(balls);
         const PlaneSolution solution = nearest_feasible(planes_, hip - centre, false, 1e-3 * tolerances_.settled);
         Vec3 step = solution.y - local_;
-        const double length = norm(step);
+        double length = norm(step);
+        out.active = solution.active;
+        for (int i = 0; i < solution.active; ++i) {
+            out.planes[i] = planes_.planes[solution.index[i]];
+            out.multiplier[i] = solution.multiplier[i];
+        }
         if (!solution.feasible) break;
         if (length <= tolerances_.settled) {
             out.converged = true;
             break;
+        }
+        if (solution.active > 0) {
+            const double stretch = slide.stretch(step, length);
+            step = step * stretch;
+            length *= stretch;
         }
         // Clip to the ball the candidates are complete for: |local + t step| = limit.
         const double limit = candidates_.reach() - slack;
@@ -166,7 +207,9 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
     }
     const Vec3 centre = candidates_.centre();
     if (!out.converged) {
+        counters.errors |= kErrNotConverged;
         out.scp = x_;
+        for (int i = 0; i < out.active; ++i) out.planes[i].point += centre;
         return out;
     }
     free_distance_ = planes_.count > 0 ? 0.0 : candidates_.clearance_bound(x_, balls.size());

@@ -37,8 +37,8 @@ inline Triangle item_triangle(const ItemBlock& b, std::uint32_t k) {
 }
 
 struct Contact {
-    Vec3 scp;              // nearest feasible point without the skin: what force is computed from
-    int active = 0;        // constraints, 0..3
+    Vec3 scp;        // nearest feasible point without the skin: what force is computed from
+    int active = 0;  // constraints, 0..3
     ContactPlane planes[3];
     double multiplier[3] = {};  // scp = hip + sum multiplier_k planes[k].normal
     bool converged = true;
@@ -85,9 +85,9 @@ private:
     Tolerances tolerances_;
     double mean_edge_mm_ = 0.0, cell_mm_ = 0.0;
     Vec3 x_;
-    Vec3 local_;         // x relative to the candidates' centre, at the last evaluation
+    Vec3 local_;  // x relative to the candidates' centre, at the last evaluation
     double free_distance_ = 0.0;
-    double path_ = 0.0;  // length moved since the gather
+    double path_ = 0.0;        // length moved since the gather
     std::uint32_t stamp_ = 0;  // names the present local_: what carries it need not be evaluated again
     PlaneSet planes_;
     std::vector<Touch> touches_;

@@ -21,9 +21,12 @@ Vec3 weighted_normal(const Triangle& t, const ClosestPoint& c, double same2) {
     if (!(length > 0.0)) return {};
     double weight = 1.0;
     if (!c.interior) {
-        if (norm2(c.point - t.a) <= same2) weight = corner_angle(t.a, t.b, t.c);
-        else if (norm2(c.point - t.b) <= same2) weight = corner_angle(t.b, t.c, t.a);
-        else if (norm2(c.point - t.c) <= same2) weight = corner_angle(t.c, t.a, t.b);
+        if (norm2(c.point - t.a) <= same2)
+            weight = corner_angle(t.a, t.b, t.c);
+        else if (norm2(c.point - t.b) <= same2)
+            weight = corner_angle(t.b, t.c, t.a);
+        else if (norm2(c.point - t.c) <= same2)
+            weight = corner_angle(t.c, t.a, t.b);
     }
     return n * (weight / length);
 }
@@ -73,7 +76,8 @@ SurfaceSide surface_side(ContactSolver& solver, std::span<const SolverBall> ball
                 const double clearance = std::sqrt(p.distance2) - ball.kept;
                 if (clearance > least + same) continue;
                 const Vec3 n = weighted_normal(item_triangle(b, k), p, same * same);
-                if (clearance < least - same) side = {true, std::sqrt(p.distance2), p.point + ball.offset + x, {}, b.ball[k]};
+                if (clearance < least - same)
+                    side = {true, std::sqrt(p.distance2), p.point + ball.offset + x, {}, b.ball[k]};
                 if (b.ball[k] == side.ball) side.normal += n;
                 least = std::min(least, clearance);
             }

@@ -9,9 +9,9 @@ namespace hapticlod {
 struct ContactMemory;
 
 struct SurfaceSide {
-    bool found = false;      // a surface within the bound
-    double distance = 0.0;   // from the ball's centre, negative behind the surface
-    Vec3 point, normal;      // nearest surface point and its angle-weighted normal (Baerentzen & Aanaes 2005)
+    bool found = false;     // a surface within the bound
+    double distance = 0.0;  // from the ball's centre, negative behind the surface
+    Vec3 point, normal;     // nearest surface point and its angle-weighted normal (Baerentzen & Aanaes 2005)
     std::uint32_t ball = 0;
 };
 

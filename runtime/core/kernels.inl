@@ -18,21 +18,19 @@ struct V8 {
 
 #define V8_SUB(r, a, b) r.x = (a).x - (b).x, r.y = (a).y - (b).y, r.z = (a).z - (b).z
 #define V8_DOT(a, b) ((a).x * (b).x + (a).y * (b).y + (a).z * (b).z)
-#define V8_CROSS(r, a, b)                          \
-    r.x = (a).y * (b).z - (a).z * (b).y,           \
-    r.y = (a).z * (b).x - (a).x * (b).z,           \
-    r.z = (a).x * (b).y - (a).y * (b).x
+#define V8_CROSS(r, a, b) \
+    r.x = (a).y * (b).z - (a).z * (b).y, r.y = (a).z * (b).x - (a).x * (b).z, r.z = (a).x * (b).y - (a).y * (b).x
 #define SELECT(mask, a, b) ((F8)(((mask) & (I8)(a)) | (~(mask) & (I8)(b))))
 
 // Parameter of the point of segment [0, e] nearest to q; 0 for a segment of no length.
-#define SEGMENT(t, e, q)                                        \
-    do {                                                        \
-        const F8 ee_ = V8_DOT(e, e);                            \
-        const I8 ok_ = ee_ > zero;                              \
-        t = V8_DOT(e, q) / SELECT(ok_, ee_, one);               \
-        t = SELECT(t > zero, t, zero);                          \
-        t = SELECT(t < one, t, one);                            \
-        t = SELECT(ok_, t, zero);                               \
+#define SEGMENT(t, e, q)                          \
+    do {                                          \
+        const F8 ee_ = V8_DOT(e, e);              \
+        const I8 ok_ = ee_ > zero;                \
+        t = V8_DOT(e, q) / SELECT(ok_, ee_, one); \
+        t = SELECT(t > zero, t, zero);            \
+        t = SELECT(t < one, t, one);              \
+        t = SELECT(ok_, t, zero);                 \
     } while (0)
 
 // r = q - t e: from the nearest point of the segment to the query.

@@ -14,22 +14,21 @@
 namespace hapticlod {
 
 struct LevelView {
-    std::span<const float> vertices;          // 3 per vertex, mm relative to ConfigData::origin_mm
-    std::span<const std::uint32_t> faces;     // 3 per triangle
-    std::span<const std::uint32_t> adjacency; // 3 per triangle: neighbour across edge (k, k+1), or kNoNeighbour
-    std::span<const float> normals;           // 3 per vertex, unit (0 where undefined)
+    std::span<const float> vertices;           // 3 per vertex, mm relative to ConfigData::origin_mm
+    std::span<const std::uint32_t> faces;      // 3 per triangle
+    std::span<const std::uint32_t> adjacency;  // 3 per triangle: neighbour across edge (k, k+1), or kNoNeighbour
+    std::span<const float> normals;            // 3 per vertex, unit (0 where undefined)
     const HashHeader* hash = nullptr;
     std::span<const std::uint32_t> table;
     std::span<const Brick> bricks;
-    std::span<const std::uint32_t> cells;     // cell_count + 1
+    std::span<const std::uint32_t> cells;  // cell_count + 1
     std::span<const TriBlock> blocks;
 
     [[nodiscard]] std::uint32_t triangle_count() const { return static_cast<std::uint32_t>(faces.size() / 3); }
     [[nodiscard]] std::uint32_t vertex_count() const { return static_cast<std::uint32_t>(vertices.size() / 3); }
     [[nodiscard]] std::size_t bytes() const {
         return vertices.size_bytes() + faces.size_bytes() + adjacency.size_bytes() + normals.size_bytes() +
-               sizeof(HashHeader) + table.size_bytes() + bricks.size_bytes() + cells.size_bytes() +
-               blocks.size_bytes();
+               sizeof(HashHeader) + table.size_bytes() + bricks.size_bytes() + cells.size_bytes() + blocks.size_bytes();
     }
 };
 

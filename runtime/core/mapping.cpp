@@ -10,7 +10,8 @@ namespace hapticlod {
 namespace {
 
 // The stretch of the line p + t n, |t| <= c, on which the tool is too near to the triangle. Empty: from > to.
-Interval blocked(const Triangle& t, const Vec3& p, const Vec3& n, double c, double kept, double precision, double side) {
+Interval blocked(const Triangle& t, const Vec3& p, const Vec3& n, double c, double kept, double precision,
+                 double side) {
     const Vec3 face = cross(t.b - t.a, t.c - t.a);
     const double length = norm(face);
     // Resting against a face from its other side would mean having passed through it.
@@ -89,8 +90,10 @@ MappingOutcome Mapper::paper(ContactSolver& solver, const LevelView& level, cons
     std::int32_t lo[3], hi[3];
     for (int k = 0; k < 3; ++k) {
         const std::int32_t first = 4 * level.hash->brick_min[k], last = 4 * level.hash->brick_max[k] + 3;
-        lo[k] = static_cast<std::int32_t>(std::clamp(std::floor(std::min(from[k], to[k]) / h), first - 1.0, last + 1.0));
-        hi[k] = static_cast<std::int32_t>(std::clamp(std::floor(std::max(from[k], to[k]) / h), first - 1.0, last + 1.0));
+        lo[k] =
+            static_cast<std::int32_t>(std::clamp(std::floor(std::min(from[k], to[k]) / h), first - 1.0, last + 1.0));
+        hi[k] =
+            static_cast<std::int32_t>(std::clamp(std::floor(std::max(from[k], to[k]) / h), first - 1.0, last + 1.0));
     }
     double nearest = 2.0;
     for (std::int32_t z = lo[2]; z <= hi[2]; ++z)
@@ -107,7 +110,8 @@ MappingOutcome Mapper::paper(ContactSolver& solver, const LevelView& level, cons
                     counters.triangles += 8;
                     for (std::uint32_t k = 0; k < 8; ++k) {
                         const auto& v = level.blocks[b].v;
-                        const Triangle t{{v[0][k], v[1][k], v[2][k]}, {v[3][k], v[4][k], v[5][k]}, {v[6][k], v[7][k], v[8][k]}};
+                        const Triangle t{
+                            {v[0][k], v[1][k], v[2][k]}, {v[3][k], v[4][k], v[5][k]}, {v[6][k], v[7][k], v[8][k]}};
                         nearest = std::min(nearest, segment_hit(p, q, t));
                     }
                 }

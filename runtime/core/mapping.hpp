@@ -9,10 +9,10 @@ namespace hapticlod {
 
 // What is known of the contact on the level that is being left.
 struct ContactMemory {
-    Vec3 normal;           // direction of the last force
-    Vec3 point;            // contact point on the surface
+    Vec3 normal;  // direction of the last force
+    Vec3 point;   // contact point on the surface
     std::uint32_t ball = 0;
-    double side = 1.0;     // +1: touched from the front of its triangle, -1: from behind
+    double side = 1.0;  // +1: touched from the front of its triangle, -1: from behind
 };
 
 struct Interval {

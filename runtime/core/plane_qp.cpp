@@ -60,8 +60,10 @@ PlaneSolution nearest_feasible(const PlaneSet& set, const Vec3& target, bool wit
             bool fits = true;
             for (int k = 0; k < best.active && fits; ++k)
                 if (keep >> k & 1u) {
-                    if (s.active == 3) fits = false;
-                    else s.index[s.active++] = best.index[k];
+                    if (s.active == 3)
+                        fits = false;
+                    else
+                        s.index[s.active++] = best.index[k];
                 }
             if (!fits || !project(set, target, without_slack, s)) continue;
             bool valid = true;

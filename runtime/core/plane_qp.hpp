@@ -10,10 +10,10 @@
 namespace hapticlod {
 
 struct ContactPlane {
-    Vec3 normal;               // unit, away from the surface
-    double offset = 0.0;       // n.y >= offset for the tool's reference point
-    Vec3 point;                // contact point on the surface
-    double slack = 0.0;        // kept distance beyond the ball's radius: skin and crack bridging
+    Vec3 normal;          // unit, away from the surface
+    double offset = 0.0;  // n.y >= offset for the tool's reference point
+    Vec3 point;           // contact point on the surface
+    double slack = 0.0;   // kept distance beyond the ball's radius: skin and crack bridging
     std::uint32_t triangle = 0;
     std::uint32_t ball = 0;
 };
@@ -27,9 +27,9 @@ struct PlaneSet {
 
 struct PlaneSolution {
     Vec3 y;
-    int active = 0;                       // 0..3
-    std::array<int, 3> index{};           // active planes
-    std::array<double, 3> multiplier{};   // y = h + sum multiplier_k normal_k, all >= 0
+    int active = 0;                      // 0..3
+    std::array<int, 3> index{};          // active planes
+    std::array<double, 3> multiplier{};  // y = h + sum multiplier_k normal_k, all >= 0
     bool feasible = true;
 };
 

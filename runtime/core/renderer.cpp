@@ -68,7 +68,8 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
     s.config = config;
     s.levels.assign(levels.begin(), levels.end());
     const HashHeader& h = *levels[0].hash;
-    s.extent_mm = norm(Vec3{h.bbox_max[0] - h.bbox_min[0], h.bbox_max[1] - h.bbox_min[1], h.bbox_max[2] - h.bbox_min[2]});
+    s.extent_mm =
+        norm(Vec3{h.bbox_max[0] - h.bbox_min[0], h.bbox_max[1] - h.bbox_min[1], h.bbox_max[2] - h.bbox_min[2]});
     if (!(s.extent_mm > 0.0)) return "level 0 has no extent";
     s.tolerances = Tolerances::of_extent(s.extent_mm);
     s.tool_centres.clear();
@@ -178,8 +179,8 @@ MappingOutcome Renderer::State::change_level(std::uint32_t from, std::uint32_t t
     }
     solver.bind(levels[to], best_kernels(), tolerances);
     if (paper) return Mapper::paper(solver, levels[to], memory, config.l_out_mm, counters);
-    const MappingOutcome outcome = mapper.two_sided(solver, memory, config.l_in_mm, config.l_out_mm,
-                                                    config.closest_bound_mm, tool(to), counters);
+    const MappingOutcome outcome =
+        mapper.two_sided(solver, memory, config.l_in_mm, config.l_out_mm, config.closest_bound_mm, tool(to), counters);
     if (outcome == MappingOutcome::miss) {
         solver.place(last_hip);
         counters.errors |= kErrContactLost;

@@ -12,7 +12,7 @@
 namespace hapticlod {
 
 struct Pose {
-    double position_mm[3];                       // HIP, scan frame
+    double position_mm[3];                         // HIP, scan frame
     double orientation[4] = {1.0, 0.0, 0.0, 0.0};  // unit quaternion w x y z, tool frame -> scan frame
 };
 

@@ -1,5 +1,6 @@
 // Hand speed from positions and device time stamps. A raw difference of a quantised position is useless (a 0.023 mm
-// encoder gives 10 mm/s of noise at 1 kHz), so velocity passes a one-pole low-pass; cut-off 0 keeps the paper's raw one.
+// encoder gives 10 mm/s of noise at 1 kHz), so velocity passes a one-pole low-pass; cut-off 0 keeps the paper's raw
+// one.
 #pragma once
 #include <numbers>
 
