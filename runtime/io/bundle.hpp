@@ -1,0 +1,56 @@
+// A checked bundle, used in place: every array is a view into the mapped file, except levels whose acceleration
+// sections this runtime does not know, which are rebuilt in memory.
+#pragma once
+#include <memory>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "core/level.hpp"
+#include "io/mapped_file.hpp"
+#include "io/motion.hpp"
+#include "io/section_table.hpp"
+
+namespace hapticlod {
+
+class Bundle {
+public:
+    // Structure, digests and content are checked; nothing of a refused file is used. Spans and views live as long as
+    // the Bundle and survive its being moved.
+    [[nodiscard]] static Result<Bundle> open(const std::string& path);
+
+    [[nodiscard]] const std::string& path() const { return path_; }
+    [[nodiscard]] std::size_t file_bytes() const { return file_.bytes().size(); }
+    [[nodiscard]] std::span<const Section> sections() const { return sections_; }
+    [[nodiscard]] std::string_view manifest() const { return manifest_; }  // a JSON object, UTF-8
+    [[nodiscard]] const ConfigData& config() const { return *config_; }
+    [[nodiscard]] std::span<const BallData> tool() const { return tool_; }
+    [[nodiscard]] std::span<const LevelView> levels() const { return levels_; }
+    [[nodiscard]] bool rebuilt(std::size_t level) const { return storage_[level] != nullptr; }
+    // Empty where the bundle has none; else both have one row per tick.
+    [[nodiscard]] std::span<const MotionRow> golden_motion() const { return golden_motion_; }
+    [[nodiscard]] std::span<const TickRecord> golden_record() const { return golden_record_; }
+
+private:
+    explicit Bundle(MappedFile file) : file_(std::move(file)) {}
+    [[nodiscard]] const Section* find(SectionType type, std::uint32_t level = 0) const;
+    template <class T>
+    [[nodiscard]] std::string take(SectionType type, std::uint32_t level, std::span<const T>& out) const;
+    [[nodiscard]] std::string load_level(std::uint32_t level);
+    [[nodiscard]] std::string load_golden();
+    [[nodiscard]] std::string load();
+
+    std::string path_;
+    MappedFile file_;
+    std::vector<Section> sections_;
+    std::string_view manifest_;
+    const ConfigData* config_ = nullptr;
+    std::span<const BallData> tool_;
+    std::vector<LevelView> levels_;
+    std::vector<std::unique_ptr<LevelStorage>> storage_;  // per level; null where the file is used in place
+    std::span<const MotionRow> golden_motion_;
+    std::span<const TickRecord> golden_record_;
+};
+
+}  // namespace hapticlod

@@ -1,0 +1,17 @@
+#include "io/digest.hpp"
+
+#include <sodium.h>
+
+namespace hapticlod {
+
+Digest blake2b_256(std::span<const std::byte> bytes) {
+    Digest digest{};
+    // sodium_init picks the fastest code for this machine; it may be called often and from several threads.
+    static const int ready = sodium_init();
+    (void)ready;
+    crypto_generichash(digest.data(), digest.size(), reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size(),
+                       nullptr, 0);
+    return digest;
+}
+
+}  // namespace hapticlod

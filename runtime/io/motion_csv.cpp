@@ -1,0 +1,139 @@
+#include "io/motion_csv.hpp"
+
+#include <array>
+#include <charconv>
+#include <cmath>
+#include <cstddef>
+
+#include "io/mapped_file.hpp"
+
+namespace hapticlod {
+namespace {
+
+constexpr std::size_t kFields = 8;
+constexpr std::array<std::string_view, kFields> kNames = {"t_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"};
+constexpr const char* kHeaderRemedy = "the first line must name the columns t_s,x_mm,y_mm,z_mm (and qw,qx,qy,qz)";
+
+std::string_view trimmed(std::string_view text) {
+    const std::size_t first = text.find_first_not_of(" \t\r\"");
+    if (first == std::string_view::npos) return {};
+    return text.substr(first, text.find_last_not_of(" \t\r\"") - first + 1);
+}
+
+std::vector<std::string_view> split(std::string_view line, char separator) {
+    std::vector<std::string_view> parts;
+    for (std::size_t start = 0;;) {
+        const std::size_t stop = line.find(separator, start);
+        parts.push_back(trimmed(line.substr(start, stop - start)));
+        if (stop == std::string_view::npos) return parts;
+        start = stop + 1;
+    }
+}
+
+bool parse_number(std::string_view text, double& value) {
+    if (!text.empty() && text.front() == '+') text.remove_prefix(1);
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+    return error == std::errc() && end == text.data() + text.size();
+}
+
+// Short and printable, whatever the file holds.
+std::string quoted(std::string_view text) {
+    std::string shown = "'";
+    for (const char letter : text.substr(0, 24)) {
+        shown += static_cast<unsigned char>(letter) < 0x20 || letter == 0x7f ? '?' : letter;
+    }
+    return shown + "'";
+}
+
+struct Columns {
+    char separator = ',';
+    std::size_t count = 0;
+    std::array<std::size_t, kFields> place{};
+    bool oriented = false;
+};
+
+Result<Columns> parse_header(std::string_view line, const std::string& where) {
+    Columns columns;
+    if (line.find('\t') != std::string_view::npos) columns.separator = '\t';
+    const std::vector<std::string_view> names = split(line, columns.separator);
+    columns.count = names.size();
+    std::array<bool, kFields> found{};
+    for (std::size_t place = 0; place < names.size(); ++place) {
+        for (std::size_t field = 0; field < kFields; ++field) {
+            if (names[place] != kNames[field]) continue;
+            if (found[field]) return Fault{where, "column " + quoted(names[place]) + " appears twice", kHeaderRemedy};
+            found[field] = true;
+            columns.place[field] = place;
+        }
+    }
+    double ignored = 0.0;
+    if (!names.empty() && parse_number(names[0], ignored)) return Fault{where, "has no header", kHeaderRemedy};
+    columns.oriented = found[4] || found[5] || found[6] || found[7];
+    for (std::size_t field = 0; field < (columns.oriented ? kFields : 4); ++field) {
+        if (!found[field]) return Fault{where, "has no column " + quoted(kNames[field]), kHeaderRemedy};
+    }
+    return columns;
+}
+
+Result<MotionRow> parse_row(std::string_view line, const Columns& columns, const std::string& where) {
+    const std::vector<std::string_view> parts = split(line, columns.separator);
+    if (parts.size() != columns.count) {
+        return Fault{where,
+                     "has " + std::to_string(parts.size()) + " fields, the header " + std::to_string(columns.count),
+                     "correct or remove the line"};
+    }
+    std::array<double, kFields> values = {0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0};
+    for (std::size_t field = 0; field < (columns.oriented ? kFields : 4); ++field) {
+        const std::string_view text = parts[columns.place[field]];
+        if (!parse_number(text, values[field])) {
+            return Fault{where, std::string(kNames[field]) + " is not a number (" + quoted(text) + ")",
+                         "correct or remove the line"};
+        }
+        if (!std::isfinite(values[field])) {
+            return Fault{where, std::string(kNames[field]) + " is not finite (" + quoted(text) + ")",
+                         "correct or remove the line"};
+        }
+    }
+    return MotionRow{values[0], {values[1], values[2], values[3]}, {values[4], values[5], values[6], values[7]}};
+}
+
+}  // namespace
+
+Result<std::vector<MotionRow>> parse_motion_csv(std::string_view text, const std::string& name) {
+    std::vector<MotionRow> rows;
+    Columns columns;
+    if (text.starts_with("\xef\xbb\xbf")) text.remove_prefix(3);  // byte-order mark
+    for (std::size_t number = 1; !text.empty(); ++number) {
+        const std::size_t stop = text.find('\n');
+        const std::string_view line = text.substr(0, stop);
+        text = stop == std::string_view::npos ? std::string_view{} : text.substr(stop + 1);
+        const std::string_view content = trimmed(line);
+        if (content.empty() || content.front() == '#') continue;
+        const std::string where = name + ":" + std::to_string(number);
+        if (columns.count == 0) {
+            const Result<Columns> header = parse_header(line, where);
+            if (!header) return header.fault();
+            columns = header.value();
+            continue;
+        }
+        const Result<MotionRow> row = parse_row(line, columns, where);
+        if (!row) return row.fault();
+        if (!rows.empty() && row.value().time_s <= rows.back().time_s) {
+            return Fault{where, "t_s does not increase",
+                         "sort the rows by time, or split the file where time restarts"};
+        }
+        rows.push_back(row.value());
+    }
+    if (columns.count == 0) return Fault{name, "has no header", kHeaderRemedy};
+    if (std::string reason = check_motion(rows); !reason.empty()) return Fault{name, reason, "record the motion again"};
+    return rows;
+}
+
+Result<std::vector<MotionRow>> read_motion_csv(const std::string& path) {
+    const Result<MappedFile> file = MappedFile::open(path);
+    if (!file) return file.fault();
+    const auto bytes = file.value().bytes();
+    return parse_motion_csv({reinterpret_cast<const char*>(bytes.data()), bytes.size()}, path);
+}
+
+}  // namespace hapticlod
