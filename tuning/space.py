@@ -1,0 +1,223 @@
+"""The box that is searched: LodConfig <-> Parameters <-> x in [0, 1]^n, with the order of levels as linear rows.
+
+Every coordinate is a logarithm scaled to its bounds, so that steps are relative and about equally large. Order is not
+hidden in a transformation: triangles and balls must fall and speeds rise from level to level by linear inequalities
+that the optimiser keeps exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import NDArray
+
+from hapticlod.config import Level, LodConfig
+from hapticlod.surrogate.parameters import Parameters
+
+MOST_LEVELS = 5
+Bounds = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Space:
+    """Bounds of every lever. Levels' order is finest first.
+
+    Attributes:
+        triangles: fewest and most triangles of a level.
+        balls: fewest and most balls of the tool; equal where there is nothing to choose.
+        edge_log_triangles, edge_log_mm: ln mean edge (mm) against ln triangles, increasing in the first: cells are
+            bounded relative to the edge.
+        cell_edges: cell size in mean edges.
+        speeds_mm_s: switching speeds.
+        l_mm: each side's mapping length.
+        hysteresis, filter_hz, blend_ms: as in LodConfig.
+        triangle_ratio, speed_ratio: least ratio between neighbours.
+        dwell_ms: least time between switches; not searched.
+    """
+
+    triangles: Bounds
+    balls: Bounds
+    edge_log_triangles: NDArray[np.float64] = field(repr=False)
+    edge_log_mm: NDArray[np.float64] = field(repr=False)
+    speeds_mm_s: Bounds
+    l_mm: Bounds
+    cell_edges: Bounds = (1.5, 12.0)
+    hysteresis: Bounds = (0.03, 0.4)
+    filter_hz: Bounds = (3.0, 60.0)
+    blend_ms: Bounds = (1.0, 120.0)
+    triangle_ratio: float = 1.25
+    speed_ratio: float = 1.25
+    dwell_ms: float = 10.0
+    most_levels: int = MOST_LEVELS
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates, n = 4 K + 4."""
+        return 4 * self.most_levels + 4
+
+    def _blocks(self) -> list[tuple[str, int, Bounds]]:
+        k = self.most_levels
+        return [
+            ("triangles", k, self.triangles),
+            ("balls", k, self.balls),
+            ("cells", k, self.cell_edges),
+            ("speeds", k - 1, self.speeds_mm_s),
+            ("hysteresis", 1, self.hysteresis),
+            ("filter", 1, self.filter_hz),
+            ("blend", 1, self.blend_ms),
+            ("l_in", 1, self.l_mm),
+            ("l_out", 1, self.l_mm),
+        ]
+
+    def _split(self, x):
+        """Logarithms of every block's physical values."""
+        out, at = {}, 0
+        for name, count, (low, high) in self._blocks():
+            part = x[at : at + count]
+            out[name] = np.log(low) + part * (np.log(high) - np.log(low))
+            at += count
+        return out
+
+    def parameters(self, x: Float[Array, " n"], levels) -> Parameters:
+        """Differentiable. `levels`: how many are used, an integer scalar."""
+        log = self._split(x)
+        edge = jnp.interp(log["triangles"], self.edge_log_triangles, self.edge_log_mm)
+        return Parameters(
+            levels=jnp.asarray(levels),
+            log_triangles=log["triangles"],
+            log_balls=log["balls"],
+            log_cell_mm=log["cells"] + edge,
+            log_speeds=log["speeds"],
+            hysteresis=jnp.exp(log["hysteresis"][0]),
+            filter_hz=jnp.exp(log["filter"][0]),
+            blend_s=jnp.exp(log["blend"][0]) * 1e-3,
+            log_l_in=log["l_in"][0],
+            log_l_out=log["l_out"][0],
+        )
+
+    def order_rows(self, levels: int) -> tuple[NDArray, NDArray]:
+        """(A, b) of A x <= b: triangles and balls fall, speeds rise. Rows of unused levels are 0 <= 1."""
+        k, rows, limits = self.most_levels, [], []
+
+        def fall(start: int, first: int, second: int, gap: float, used: bool) -> None:
+            row = np.zeros(self.size)
+            if used:
+                row[start + first], row[start + second] = -1.0, 1.0
+            rows.append(row)
+            limits.append(-gap if used else 1.0)
+
+        for i in range(k - 1):
+            fall(0, i, i + 1, self._gap(self.triangles, self.triangle_ratio), i + 1 < levels)
+            fall(k, i, i + 1, 0.0, i + 1 < levels)
+        for i in range(k - 2):
+            fall(3 * k, i + 1, i, self._gap(self.speeds_mm_s, self.speed_ratio), i + 2 < levels)
+        return np.array(rows), np.array(limits)
+
+    @staticmethod
+    def _gap(bounds: Bounds, ratio: float) -> float:
+        span = np.log(bounds[1] / bounds[0])
+        return float(np.log(ratio) / span) if span > 0 else 0.0
+
+    def fits(self, levels: int) -> bool:
+        """Whether so many levels can be told apart between the bounds."""
+        return (levels - 1) * self._gap(self.triangles, self.triangle_ratio) <= 1.0 and self.triangles[1] > (
+            self.triangles[0] if levels > 1 else 0
+        )
+
+    def ordered(self, x: NDArray, levels: int) -> NDArray:
+        """The nearest-in-spirit point that keeps the order: sorted, then spread to the least gaps."""
+        x, k = np.clip(np.array(x, dtype=np.float64), 0.0, 1.0), self.most_levels
+
+        def spread(values: NDArray, gap: float) -> NDArray:
+            """Increasing values at least `gap` apart inside [0, 1]."""
+            if len(values) > 1:
+                gap = min(gap, 1.0 / (len(values) - 1)) * (1 + 1e-9)
+            out = np.sort(values)
+            for i in range(1, len(out)):
+                out[i] = max(out[i], out[i - 1] + gap)
+            limit = 1.0
+            for i in range(len(out) - 1, -1, -1):
+                out[i] = min(out[i], limit)
+                limit = out[i] - gap
+            return np.clip(out, 0.0, 1.0)
+
+        x[:levels] = spread(x[:levels], self._gap(self.triangles, self.triangle_ratio))[::-1]
+        x[k : k + levels] = np.sort(x[k : k + levels])[::-1]
+        x[3 * k : 3 * k + levels - 1] = spread(
+            x[3 * k : 3 * k + levels - 1], self._gap(self.speeds_mm_s, self.speed_ratio)
+        )
+        # Unused levels repeat the last one, so that equal configurations are equal points.
+        for start, used in ((0, levels), (k, levels), (2 * k, levels), (3 * k, max(levels - 1, 1))):
+            end = start + k - (1 if start == 3 * k else 0)
+            x[start + used : end] = x[start + used - 1]
+        return x
+
+    def config(self, x: NDArray, levels: int, name: str = "") -> LodConfig:
+        """The configuration at x: counts rounded, levels that come out alike merged."""
+        log = {key: np.asarray(value) for key, value in self._split(np.asarray(x, dtype=np.float64)).items()}
+        edge = np.exp(np.interp(log["triangles"], self.edge_log_triangles, self.edge_log_mm))
+        made: list[Level] = []
+        speeds: list[float] = []
+        for i in range(levels):
+            triangles = round(float(np.exp(log["triangles"][i])))
+            if made and triangles >= made[-1].triangles:
+                continue
+            level = Level(
+                triangles=triangles,
+                cell_mm=float(np.exp(log["cells"][i]) * edge[i]),
+                balls=round(float(np.exp(log["balls"][i]))),
+            )
+            if made:
+                speeds.append(float(np.exp(log["speeds"][i - 1])))
+            made.append(level)
+        scalar = {key: float(np.exp(log[key][0])) for key in ("hysteresis", "filter", "blend", "l_in", "l_out")}
+        return LodConfig(
+            name=name,
+            levels=tuple(made),
+            speeds_mm_s=tuple(speeds),
+            hysteresis=scalar["hysteresis"],
+            filter_hz=scalar["filter"],
+            blend_ms=scalar["blend"],
+            l_in_mm=scalar["l_in"],
+            l_out_mm=scalar["l_out"],
+            dwell_ms=self.dwell_ms,
+            mapping="two-sided",
+        )
+
+    def point(self, config: LodConfig) -> NDArray:
+        """x of a configuration, clipped to the bounds: the inverse of `config` for those inside."""
+        k, used = self.most_levels, len(config.levels)
+        if used > k:
+            raise ValueError(f"{used} levels, the space has {k}")
+        last = config.levels[-1]
+        levels = list(config.levels) + [last] * (k - used)
+        speeds = list(config.speeds_mm_s) + [(config.speeds_mm_s or (self.speeds_mm_s[0],))[-1]] * (k - used)
+        log_triangles = np.log([level.triangles for level in levels])
+        edge = np.exp(np.interp(log_triangles, self.edge_log_triangles, self.edge_log_mm))
+        values = {
+            "triangles": np.exp(log_triangles),
+            "balls": [min(level.balls, self.balls[1]) for level in levels],
+            "cells": [level.cell_mm / e for level, e in zip(levels, edge, strict=True)],
+            "speeds": speeds[: k - 1],
+            "hysteresis": [max(config.hysteresis, 1e-12)],
+            "filter": [max(config.filter_hz, 1e-12)],
+            "blend": [max(config.blend_ms, 1e-12)],
+            "l_in": [max(config.l_in_mm, 1e-12)],
+            "l_out": [max(config.l_out_mm, 1e-12)],
+        }
+        parts = []
+        for name, _, (low, high) in self._blocks():
+            span = np.log(high / low)
+            log = np.log(np.asarray(values[name], dtype=np.float64) / low)
+            parts.append(log / span if span > 0 else np.zeros(len(log)))
+        return np.clip(np.concatenate(parts), 0.0, 1.0)
+
+    def sample(self, count: int, levels: int, seed: int) -> NDArray:
+        """(count, n) Latin hypercube points that keep the order."""
+        from scipy.stats import qmc
+
+        points = qmc.LatinHypercube(self.size, rng=np.random.default_rng(seed)).random(count)
+        return np.stack([self.ordered(point, levels) for point in points])
