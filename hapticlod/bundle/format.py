@@ -1,0 +1,102 @@
+"""The .hlod container, format 1, byte for byte. Equal to runtime/io/bundle_format.hpp; docs/bundle.md specifies it."""
+
+import hashlib
+from enum import IntEnum
+from typing import Any, Final
+
+import numpy as np
+
+from hapticlod.layout import BALL_DTYPE, BLOCK_DTYPE, BRICK_DTYPE, CONFIG_DTYPE, HASH_DTYPE, RECORD_DTYPE
+
+MAGIC: Final = b"\x89HLOD\r\n\x1a"
+VERSION: Final = 1
+ALIGNMENT: Final = 64
+MAX_SECTIONS: Final = 256
+MAX_MANIFEST_BYTES: Final = 16 << 20
+SECTION_VERSION: Final = 1
+OPTIONAL: Final = 1
+
+HEADER_DTYPE: Final = np.dtype(
+    [
+        ("magic", "V8"),
+        ("version", "<u4"),
+        ("section_count", "<u4"),
+        ("file_bytes", "<u8"),
+        ("table_offset", "<u8"),
+        ("table_digest", "V32"),
+    ]
+)
+
+ENTRY_DTYPE: Final = np.dtype(
+    [
+        ("type", "<u4"),
+        ("version", "<u4"),
+        ("level", "<u4"),
+        ("flags", "<u4"),
+        ("offset", "<u8"),
+        ("length", "<u8"),
+        ("digest", "V32"),
+    ]
+)
+
+MOTION_DTYPE: Final = np.dtype([("time_s", "<f8"), ("position_mm", "<f8", 3), ("orientation", "<f8", 4)])
+
+
+class SectionType(IntEnum):
+    """What a section holds."""
+
+    MANIFEST = 1
+    CONFIG = 2
+    TOOL = 3
+    VERTICES = 16
+    FACES = 17
+    ADJACENCY = 18
+    NORMALS = 19
+    HASH = 20
+    TABLE = 21
+    BRICKS = 22
+    CELLS = 23
+    BLOCKS = 24
+    GOLDEN_MOTION = 32
+    GOLDEN_RECORD = 33
+    SIGNATURE = 48
+
+
+ACCELERATION: Final = tuple(SectionType(number) for number in range(18, 25))
+"""Sections that speed a level up and can be rebuilt from its vertices and faces."""
+
+LEVEL_SECTIONS: Final = (SectionType.VERTICES, SectionType.FACES, *ACCELERATION)
+
+# What one element of a section is: a section's length is a whole number of them.
+ELEMENT: Final[dict[SectionType, np.dtype[Any]]] = {
+    SectionType.MANIFEST: np.dtype("u1"),
+    SectionType.CONFIG: CONFIG_DTYPE,
+    SectionType.TOOL: BALL_DTYPE,
+    SectionType.VERTICES: np.dtype(("<f4", 3)),
+    SectionType.FACES: np.dtype(("<u4", 3)),
+    SectionType.ADJACENCY: np.dtype(("<u4", 3)),
+    SectionType.NORMALS: np.dtype(("<f4", 3)),
+    SectionType.HASH: HASH_DTYPE,
+    SectionType.TABLE: np.dtype("<u4"),
+    SectionType.BRICKS: BRICK_DTYPE,
+    SectionType.CELLS: np.dtype("<u4"),
+    SectionType.BLOCKS: BLOCK_DTYPE,
+    SectionType.GOLDEN_MOTION: MOTION_DTYPE,
+    SectionType.GOLDEN_RECORD: RECORD_DTYPE,
+    SectionType.SIGNATURE: np.dtype("u1"),
+}
+
+
+def is_optional(kind: SectionType) -> bool:
+    """Whether a reader that does not know the section may skip it."""
+    return kind in ACCELERATION or kind >= SectionType.GOLDEN_MOTION
+
+
+def aligned(offset: int) -> int:
+    """The next place where a section may start."""
+    return (offset + ALIGNMENT - 1) // ALIGNMENT * ALIGNMENT
+
+
+def digest(data: Any) -> bytes:
+    """BLAKE2b-256 of a buffer."""
+    return hashlib.blake2b(data, digest_size=32).digest()
