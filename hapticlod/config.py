@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
+from hapticlod.layout import CONFIG_DTYPE, CONFIG_VERSION, MAX_BALLS, MAX_LEVELS
 from hapticlod.toml import TomlModel, checked, fault_at, load_toml, save_toml
 
 if TYPE_CHECKING:
     from hapticlod.station import Station
     from hapticlod.tool import Tool
 
-MAX_LEVELS = 8
-CONFIG_VERSION = 1
 MAPPINGS = ("paper", "two-sided")  # the position is the runtime's code (core/layout.hpp)
 POLICIES = ("velocity", "distance")
 
@@ -30,7 +29,7 @@ class Level(TomlModel):
 
     triangles: int = Field(ge=1, le=2**32 - 2)
     cell_mm: Positive
-    balls: int = Field(default=4096, ge=1, le=4096, description="at most; a smaller tool uses all it has")
+    balls: int = Field(default=MAX_BALLS, ge=1, le=MAX_BALLS, description="at most; a smaller tool uses all it has")
 
 
 class RungLike(Protocol):
@@ -116,8 +115,6 @@ class LodConfig(TomlModel):
             tool: bounds the number of balls per level.
             origin_mm: (3,) place of the scan frame that level vertices are relative to.
         """
-        from hapticlod.layout import CONFIG_DTYPE
-
         data: Any = np.zeros((), dtype=CONFIG_DTYPE)
         data["version"] = CONFIG_VERSION
         data["level_count"] = len(self.levels)

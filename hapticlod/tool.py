@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hapticlod.ball_order import nested_order, worst_gaps_mm
 from hapticlod.errors import InputError
-
-MAX_BALLS = 4096
+from hapticlod.layout import MAX_BALLS
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, RootModel, model_validator
 
+from hapticlod.layout import MAX_BALLS
 from hapticlod.toml import TomlModel, fault_at, load_toml
-from hapticlod.tool import MAX_BALLS, Tool, ball, point, union
+from hapticlod.tool import Tool, ball, point, union
 from hapticlod.tool_profile import Blades, axis_length_mm, fill_profile
 
 Place = tuple[float, float, float]

@@ -1,0 +1,165 @@
+"""From a path on a surface to what the loop reads: depth, lifts, tremor, encoder steps, orientation."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from hapticlod.motion.motion import Motion
+from hapticlod.motion.smooth import low_passed
+from hapticlod.motion.strokes import BASE_HZ, min_jerk, slow_noise, tremor_mm
+from hapticlod.motion.surface import Surface
+from hapticlod.motion.walk import Path
+from hapticlod.tool import Tool
+
+Array = NDArray[np.float64]
+
+_FOLLOW_HZ = 25.0  # a hand of 0.08 kg on 1-2 N/mm follows a surface up to about sqrt(k/m) / 2 pi
+_TURN_HZ = 1.5  # how fast the shaft follows the surface's normal
+_APPROACH_S = 0.4
+_RAMP_S = 0.11
+_LIFT_MM = 2.0
+
+
+@dataclass(frozen=True)
+class Press:
+    """How a hand presses: median force and its log-normal spread, what the device allows, and its stiffness."""
+
+    force_n: float = 0.8
+    force_sigma: float = 0.5
+    max_force_n: float = 12.0
+    stiffness_n_mm: float = 1.0
+    encoder_mm: float = 0.023
+    tremor_rms_mm: float = 0.03
+
+
+@dataclass(frozen=True)
+class Lift:
+    """An interval in the air, s, and how high, mm."""
+
+    start_s: float
+    stop_s: float
+    height_mm: float
+
+
+def travelled_mm(path_length_mm: float, speed_mm_s: Array) -> Array:
+    """Distance along a path at every base tick (T,); a path that is too short is walked to and fro."""
+    travelled = np.concatenate([[0.0], np.cumsum(speed_mm_s)[:-1]]) / BASE_HZ
+    return path_length_mm - np.abs(path_length_mm - np.mod(travelled, 2.0 * path_length_mm))
+
+
+def touched_path(surface: Surface, walked: Path, radius_mm: float) -> tuple[Path, Array]:
+    """The places of the reference ball's centre along a walk, evenly spaced, with their own length; and normals."""
+    fine_mm = 0.5 * walked.walked_mm[-1] / max(len(walked.walked_mm) - 1, 1)
+    keep = np.concatenate([[True], np.diff(walked.walked_mm) > 1e-9])
+    at = np.arange(0.0, walked.walked_mm[-1], fine_mm)
+    curve = CubicSpline(walked.walked_mm[keep], walked.points_mm[keep])
+    places, normals = surface.project(np.asarray(curve(at)))
+    centres = surface.resting(places, normals, radius_mm)
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centres, axis=0), axis=1))])
+    return Path(centres, lengths), normals
+
+
+def hand_motion(
+    surface: Surface,
+    track: Path,
+    normals: Array,
+    speed_mm_s: Array,
+    lifts: list[Lift],
+    press: Press,
+    tool: Tool,
+    loop_hz: float,
+    rng: np.random.Generator,
+    name: str,
+    provenance: dict[str, Any],
+) -> Motion:
+    """A hand that follows `track` (its normals (K, 3)) at `speed_mm_s` (T,) given at `BASE_HZ`."""
+    ticks = len(speed_mm_s)
+    along = travelled_mm(float(track.walked_mm[-1]), speed_mm_s)
+    centre = _interpolated(along, track.walked_mm, track.points_mm)
+    centre = low_passed(centre, _FOLLOW_HZ, BASE_HZ)
+    raw_normal = _interpolated(along, track.walked_mm, normals)
+    normal = _unit(low_passed(raw_normal, 0.5 * _FOLLOW_HZ, BASE_HZ))
+
+    time_s = np.arange(ticks) / BASE_HZ
+    end_s = ticks / BASE_HZ
+    approach_s = min(_APPROACH_S, 0.1 * end_s)
+    ends = [Lift(-1.0, approach_s, _LIFT_MM), Lift(end_s - approach_s, end_s + 1.0, _LIFT_MM)]
+    depth = _depth_mm(time_s, lifts, press, rng)
+    offset = -depth
+    for lift in sorted([*lifts, *ends], key=lambda lift: lift.height_mm):
+        ramp_s = min(_RAMP_S, 0.4 * (lift.stop_s - lift.start_s), approach_s)
+        up = min_jerk((time_s - lift.start_s) / ramp_s) * (1.0 - min_jerk((time_s - lift.stop_s + ramp_s) / ramp_s))
+        offset += up * (lift.height_mm - offset)
+    hip = centre + offset[:, None] * normal + tremor_mm(ticks, rng, rms_mm=press.tremor_rms_mm)
+
+    at_s = np.arange(max(round(end_s * loop_hz), 2)) / loop_hz
+    if loop_hz != BASE_HZ:
+        hip = np.asarray(CubicSpline(time_s, hip)(np.minimum(at_s, time_s[-1])))
+    orientation = None if tool.balls == 1 else shaft_orientation(_at(at_s, time_s, raw_normal), loop_hz)
+    if press.encoder_mm > 0:
+        hip = np.round(hip / press.encoder_mm) * press.encoder_mm
+    facts = {
+        "loop_hz": float(loop_hz),
+        "tool": tool.name,
+        "tool_digest": tool.digest,
+        "radius_mm": tool.reference_radius_mm,
+        "contact_share": round(float(np.mean(offset < 0)), 4),
+        "force_n": press.force_n,
+        "stiffness_n_mm": press.stiffness_n_mm,
+        "max_force_n": press.max_force_n,
+        "encoder_mm": press.encoder_mm,
+        "tremor_rms_mm": press.tremor_rms_mm,
+        "surface_spacing_mm": round(surface.spacing_mm, 6),
+        "path_walked_twice": bool(np.sum(speed_mm_s) / BASE_HZ > track.walked_mm[-1]),
+    }
+    return Motion(at_s, hip, orientation, float(loop_hz), name, {**provenance, **facts})
+
+
+def shaft_orientation(normals: Array, loop_hz: float) -> Array:
+    """Quaternions (T, 4) w x y z that keep the tool's +z along the slowly followed normals (T, 3), without twist."""
+    knots = max(int(np.ceil(len(normals) / loop_hz * 50.0)) + 1, 2)
+    at = np.linspace(0.0, len(normals) - 1.0, knots)
+    axes = _unit(low_passed(normals, _TURN_HZ, loop_hz))[np.round(at).astype(int)]
+    turned = [_shortest_turn(np.array([0.0, 0.0, 1.0]), axes[0])]
+    for before, after in pairwise(axes):
+        turned.append(_product(_shortest_turn(before, after), turned[-1]))
+    quaternions = np.asarray(CubicSpline(at, np.array(turned))(np.arange(len(normals))))
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+def _depth_mm(time_s: Array, lifts: list[Lift], press: Press, rng: np.random.Generator) -> Array:
+    """How far the HIP is pushed in: a log-normal force per contact, with 10 % of noise below 3 Hz."""
+    forces = press.force_n * np.exp(press.force_sigma * rng.normal(size=len(lifts) + 1))
+    # the change from one force to the next happens in the air, halfway through the lift
+    middles = np.array(sorted(0.5 * (lift.start_s + lift.stop_s) for lift in lifts))
+    force = forces[np.searchsorted(middles, time_s)] * (1.0 + 0.1 * slow_noise(len(time_s), rng))
+    return np.clip(force, 0.1 * press.force_n, press.max_force_n) / press.stiffness_n_mm
+
+
+def _interpolated(at: Array, knots: Array, values: Array) -> Array:
+    return np.stack([np.interp(at, knots, values[:, k]) for k in range(values.shape[1])], axis=1)
+
+
+def _at(at_s: Array, time_s: Array, values: Array) -> Array:
+    return values if len(at_s) == len(time_s) else _interpolated(at_s, time_s, values)
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+
+
+def _shortest_turn(before: Array, after: Array) -> Array:
+    """The quaternion of the least rotation between two unit vectors."""
+    turn = np.concatenate([[1.0 + before @ after], np.cross(before, after)])
+    if turn[0] < 1e-6:  # opposite: half a turn about anything across
+        turn = np.concatenate([[0.0], np.cross(before, np.eye(3)[int(np.argmin(np.abs(before)))])])
+    return turn / np.linalg.norm(turn)
+
+
+def _product(p: Array, q: Array) -> Array:
+    scalar = p[0] * q[0] - p[1:] @ q[1:]
+    return np.concatenate([[scalar], p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])])

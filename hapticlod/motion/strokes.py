@@ -1,0 +1,92 @@
+"""How fast a hand moves and how it shakes: sums of minimum-jerk strokes (Flash and Hogan 1985), tremor, drift.
+
+Parameters and the speeds they give are the table of PERCEPTION.md section 4.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, lfilter, sosfiltfilt
+
+Array = NDArray[np.float64]
+Mode = Literal["probe", "trace", "scan", "transfer"]
+MODES: tuple[Mode, ...] = get_args(Mode)
+BASE_HZ = 1000.0  # hands are made at this rate, so that a seed gives the same hand at every loop rate
+
+
+@dataclass(frozen=True)
+class Strokes:
+    """Log-normal strokes: median and sigma (of the logarithm) of peak speed and duration, and how far they overlap."""
+
+    peak_mm_s: float
+    peak_sigma: float
+    duration_s: float
+    duration_sigma: float
+    overlap: float
+
+
+STROKES: dict[Mode, Strokes] = {
+    "probe": Strokes(15.0, 0.5, 0.45, 0.3, 0.35),
+    "trace": Strokes(35.0, 0.4, 0.5, 0.3, 0.4),
+    "scan": Strokes(60.0, 0.4, 0.4, 0.25, 0.15),
+    "transfer": Strokes(230.0, 0.3, 0.5, 0.2, 0.0),
+}
+
+
+def stroke_speed(strokes: Strokes, ticks: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Speed (T,) mm/s at `BASE_HZ`, and the start times of the strokes (S,) s.
+
+    A stroke of length D and duration T has speed D/T 30 u^2 (1-u)^2, u = t/T: its peak is 1.875 D/T.
+    """
+    speed = np.zeros(ticks)
+    starts: list[float] = []
+    start_s = 0.0
+    while start_s * BASE_HZ < ticks:
+        duration_s = strokes.duration_s * np.exp(strokes.duration_sigma * rng.normal())
+        peak_mm_s = strokes.peak_mm_s * np.exp(strokes.peak_sigma * rng.normal())
+        first = round(start_s * BASE_HZ)
+        samples = max(round(duration_s * BASE_HZ), 2)
+        u = (np.arange(samples) + 0.5) / samples
+        bell = peak_mm_s / 1.875 * 30.0 * u**2 * (1.0 - u) ** 2
+        fits = min(samples, ticks - first)
+        speed[first : first + fits] += bell[:fits]
+        starts.append(start_s)
+        start_s += duration_s * (1.0 - strokes.overlap * rng.uniform(0.5, 1.5))
+    return speed, np.array(starts)
+
+
+def brownian_heading(ticks: int, rng: np.random.Generator, rad_per_root_s: float = 0.6) -> Array:
+    """Heading (T,) rad at `BASE_HZ` that drifts as a random walk."""
+    return np.cumsum(rng.normal(size=ticks)) * rad_per_root_s / np.sqrt(BASE_HZ)
+
+
+def tremor_mm(ticks: int, rng: np.random.Generator, *, rms_mm: float = 0.03, centre_hz: float = 10.0) -> Array:
+    """Physiological tremor (T, 3) mm at `BASE_HZ`: white noise through a resonator of quality 5."""
+    angle = 2.0 * np.pi * centre_hz / BASE_HZ
+    radius = np.exp(-angle / (2.0 * 5.0))
+    feedback = np.array([1.0, -2.0 * radius * np.cos(angle), radius * radius])
+    run_in = round(BASE_HZ)
+    noise = rng.normal(size=(ticks + run_in, 3))
+    # the resonator's own gain, so that the rms holds for every length and is not forced on each sample
+    impulse = np.asarray(lfilter([1.0], feedback, np.eye(1, 4000)[0]))
+    shaken = np.asarray(lfilter([1.0], feedback, noise, axis=0))[run_in:]
+    return shaken * (rms_mm / np.sqrt(np.sum(impulse**2)))
+
+
+def slow_noise(ticks: int, rng: np.random.Generator, cutoff_hz: float = 3.0) -> Array:
+    """Noise (T,) of rms 1 below `cutoff_hz`, at `BASE_HZ`."""
+    pad = round(BASE_HZ)
+    noise = rng.normal(size=ticks + 2 * pad)
+    slow = np.asarray(sosfiltfilt(butter(2, cutoff_hz, fs=BASE_HZ, output="sos"), noise))[pad:-pad]
+    impulse = np.zeros(4 * pad + 1)
+    impulse[2 * pad] = 1.0
+    gain = np.sqrt(np.sum(np.asarray(sosfiltfilt(butter(2, cutoff_hz, fs=BASE_HZ, output="sos"), impulse)) ** 2))
+    return slow / gain
+
+
+def min_jerk(u: Array) -> Array:
+    """The minimum-jerk step from 0 to 1 for u in [0, 1], clamped outside."""
+    u = np.clip(u, 0.0, 1.0)
+    return u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
