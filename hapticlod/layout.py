@@ -105,7 +105,8 @@ HASH_DTYPE: Final = np.dtype(
         ("bbox_max", "<f4", 3),
         ("max_edge_mm", "<f4"),
         ("mean_edge_mm", "<f4"),
-        ("reserved", "<u4", 6),
+        ("loose_mm", "<f4"),
+        ("reserved", "<u4", 5),
     ]
 )
 

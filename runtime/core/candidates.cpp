@@ -32,8 +32,8 @@ void Candidates::allocate(std::size_t balls) {
     forget();
 }
 
-void Candidates::bind(const LevelView& level, const Kernels& kernels) {
-    level_ = level;
+void Candidates::bind(const ActiveLevel& level, const Kernels& kernels) {
+    level_ = &level;
     kernels_ = &kernels;
     forget();
 }
@@ -60,149 +60,113 @@ double Candidates::clearance_bound(const Vec3& x, std::size_t balls) const {
     return std::max(least, 0.0);
 }
 
-bool Candidates::append(const TriBlock& block, std::uint32_t lane, const Vec3& ball_centre, const SolverBall& ball,
-                        std::uint32_t index) {
-    const std::uint32_t at = item_count_ / 8, to = item_count_ % 8;
-    if (at >= kMaxBlocks) return false;
-    ItemBlock& out = blocks_[at];
-    const double shift[3] = {ball_centre.x, ball_centre.y, ball_centre.z};
-    for (int row = 0; row < 9; ++row) out.v[row][to] = static_cast<float>(double{block.v[row][lane]} - shift[row % 3]);
-    out.radius[to] = static_cast<float>(ball.kept);
-    out.triangle[to] = block.id[lane];
-    out.ball[to] = index;
-    ++item_count_;
-    return true;
-}
-
-void Candidates::finish() {
-    // Unused lanes repeat the last item: they change neither the least clearance nor any decision.
-    if (item_count_ % 8 != 0) {
-        ItemBlock& out = blocks_[item_count_ / 8];
-        const std::uint32_t last = item_count_ % 8 - 1;
-        for (std::uint32_t lane = last + 1; lane < 8; ++lane) {
-            for (auto& row : out.v) row[lane] = row[last];
-            out.radius[lane] = out.radius[last];
-            out.triangle[lane] = out.triangle[last];
-            out.ball[lane] = out.ball[last];
-        }
-    }
-    block_count_ = (item_count_ + 7) / 8;
-    for (std::uint32_t i = 0; i < block_count_; ++i) {
-        keys_[i] = -std::numeric_limits<double>::infinity();
-        stamps_[i] = 0;
-    }
-}
-
 bool Candidates::gather_ball(const SolverBall& ball, std::uint32_t index, double reach, TickCounters& counters) {
-    const HashHeader& hash = *level_.hash;
-    const double h = hash.cell_mm;
+    const LevelView& level = level_->view;
+    const double h = level.hash->cell_mm, loose = double{level.hash->loose_mm};
     const Vec3 centre = centre_ + ball.offset;
-    const double inner = ball.kept + reach;                       // triangles within this distance become items
-    const double outer = inner + std::max(2.0 * h, 3.0 * reach);  // emptiness is known up to this distance
     const double at[3] = {centre.x, centre.y, centre.z};
-    std::int32_t lo[3], hi[3];
+    float shift[3], residual[3];
     for (int k = 0; k < 3; ++k) {
-        // The model's bounds first: far away, the interval is empty and casting stays in range.
-        const double brick_lo = 4.0 * hash.brick_min[k] * h, brick_hi = 4.0 * (hash.brick_max[k] + 1.0) * h;
-        const double from = std::max(at[k] - outer, brick_lo), to = std::min(at[k] + outer, brick_hi - 0.5 * h);
-        if (from > to) {
-            balls_[index] = {std::max(outer, axis_gap(at[k], brick_lo, brick_hi)) - ball.kept, odometer_};
-            return true;
-        }
-        lo[k] = static_cast<std::int32_t>(std::floor(from / h));
-        hi[k] = static_cast<std::int32_t>(std::floor(to / h));
+        shift[k] = static_cast<float>(at[k]);
+        residual[k] = static_cast<float>(at[k] - double{shift[k]});
     }
-    const float p[3] = {static_cast<float>(at[0]), static_cast<float>(at[1]), static_cast<float>(at[2])};
-    const double inner_margin = inner + 1e-6 * (inner + std::abs(at[0]) + std::abs(at[1]) + std::abs(at[2]));
-    const float inner2 = static_cast<float>(inner_margin * inner_margin);
-    double nearest_cell2 = outer * outer;
-    const std::uint32_t before = item_count_;
-    bool near_cells = false;
+    const float radius = static_cast<float>(ball.kept);
+    const std::uint32_t before = block_count_;
 
-    const auto visit = [&](const Brick& brick) {
-        const std::int32_t base[3] = {brick.x * 4, brick.y * 4, brick.z * 4};
-        int from[3], to[3];
+    // Calls use(brick, bit, gap2) for every occupied cell within `range` of the centre.
+    const auto for_cells = [&](double range, auto&& use) {
+        std::int32_t lo[3], hi[3], brick_lo[3], brick_hi[3];
         for (int k = 0; k < 3; ++k) {
-            from[k] = std::max(lo[k] - base[k], 0);
-            to[k] = std::min(hi[k] - base[k], 3);
-            if (from[k] > to[k]) return true;
+            const double first = 4.0 * level.hash->brick_min[k], last = 4.0 * level.hash->brick_max[k] + 3.0;
+            const double from = (at[k] - range - loose) / h, to = (at[k] + range + loose) / h;
+            if (to < first || from > last + 1.0) return;
+            lo[k] = static_cast<std::int32_t>(std::floor(std::max(from, first)));
+            hi[k] = static_cast<std::int32_t>(std::floor(std::min(to, last)));
+            brick_lo[k] = lo[k] >> 2, brick_hi[k] = hi[k] >> 2;
         }
-        for (std::uint64_t bits = brick.mask & cells_in_range(from, to); bits != 0; bits &= bits - 1) {
-            const int bit = std::countr_zero(bits);
-            const std::int32_t cell[3] = {base[0] + (bit & 3), base[1] + (bit >> 2 & 3), base[2] + (bit >> 4)};
-            double gap2 = 0.0;
-            for (int k = 0; k < 3; ++k) {
-                const double gap = axis_gap(at[k], cell[k] * h, (cell[k] + 1) * h);
-                gap2 += gap * gap;
-            }
-            if (gap2 > inner_margin * inner_margin) {
-                nearest_cell2 = std::min(nearest_cell2, gap2);
-                continue;
-            }
-            ++counters.cells;
-            near_cells = true;
-            const std::uint64_t below = brick.mask & ((std::uint64_t{1} << bit) - 1);
-            const std::uint32_t index_of_cell = brick.first_cell + static_cast<std::uint32_t>(std::popcount(below));
-            for (std::uint32_t b = level_.cells[index_of_cell]; b < level_.cells[index_of_cell + 1]; ++b) {
-                const TriBlock& block = level_.blocks[b];
-                float distance2[8], closest[3][8];
-                kernels_->closest(block, p, distance2, closest);
-                counters.triangles += 8;
-                for (std::uint32_t lane = 0; lane < 8; ++lane) {
-                    if (distance2[lane] > inner2 || block.id[lane] == kNoNeighbour) continue;
-                    // A triangle listed in several cells is taken from the one that holds its closest point.
-                    bool here = true;
-                    for (int k = 0; k < 3; ++k)
-                        here = here && static_cast<std::int32_t>(std::floor(double{closest[k][lane]} / h)) == cell[k];
-                    if (here && !append(block, lane, centre, ball, index)) return false;
+        counters.cells += level_->occupancy.for_bricks(level, brick_lo, brick_hi, [&](const Brick& brick) {
+            const std::int32_t base[3] = {brick.x * 4, brick.y * 4, brick.z * 4};
+            int from[3], to[3];
+            for (int k = 0; k < 3; ++k) from[k] = std::max(lo[k] - base[k], 0), to[k] = std::min(hi[k] - base[k], 3);
+            for (std::uint64_t bits = brick.mask & cells_in_range(from, to); bits != 0; bits &= bits - 1) {
+                const int bit = std::countr_zero(bits);
+                const std::int32_t cell[3] = {base[0] + (bit & 3), base[1] + (bit >> 2 & 3), base[2] + (bit >> 4)};
+                double gap2 = 0.0;
+                for (int k = 0; k < 3; ++k) {
+                    const double gap = axis_gap(at[k], cell[k] * h - loose, (cell[k] + 1) * h + loose);
+                    gap2 += gap * gap;
                 }
+                if (gap2 <= range * range && !use(brick, bit, gap2)) return false;
             }
-        }
-        return true;
+            return true;
+        });
     };
 
-    const std::int32_t first[3] = {lo[0] >> 2, lo[1] >> 2, lo[2] >> 2}, last[3] = {hi[0] >> 2, hi[1] >> 2, hi[2] >> 2};
-    const double volume =
-        double(last[0] - first[0] + 1) * double(last[1] - first[1] + 1) * double(last[2] - first[2] + 1);
-    if (volume > hash.brick_count) {
-        for (const Brick& brick : level_.bricks)
-            if (!visit(brick)) return false;
-        counters.cells += hash.brick_count;
-    } else {
-        for (std::int32_t z = first[2]; z <= last[2]; ++z)
-            for (std::int32_t y = first[1]; y <= last[1]; ++y)
-                for (std::int32_t x = first[0]; x <= last[0]; ++x) {
-                    ++counters.cells;
-                    const Brick* brick = find_brick(level_, x, y, z);
-                    if (brick != nullptr && !visit(*brick)) return false;
-                }
-    }
-    if (item_count_ > before) {
+    const double inner = ball.kept + reach + 1e-6 * (ball.kept + reach);
+    const float within = static_cast<float>(inner) * 1.00001f;
+    double least = std::numeric_limits<double>::infinity();
+    bool complete = true;
+    for_cells(inner, [&](const Brick& brick, int bit, double) {
+        ++counters.cells;
+        const std::uint64_t below = brick.mask & ((std::uint64_t{1} << bit) - 1);
+        const std::uint32_t cell = brick.first_cell + static_cast<std::uint32_t>(std::popcount(below));
+        for (std::uint32_t b = level.cells[cell]; b < level.cells[cell + 1]; ++b) {
+            const Sphere& sphere = level_->spheres[b];
+            const float dx = sphere.x - shift[0], dy = sphere.y - shift[1], dz = sphere.z - shift[2];
+            const float far = sphere.radius + within;
+            if (dx * dx + dy * dy + dz * dz > far * far) continue;
+            if (block_count_ == kMaxBlocks) return complete = false;
+            ItemBlock& block = blocks_[block_count_];
+            const float clearance =
+                kernels_->gather(level.blocks[b], shift, residual, radius, block, evaluations_[block_count_]);
+            counters.triangles += 8;
+            least = std::min(least, double{clearance});
+            if (double{clearance} > reach) continue;
+            std::fill_n(block.ball, 8, index);
+            keys_[block_count_] = double{clearance};
+            stamps_[block_count_] = stamp_;
+            ++block_count_;
+        }
+        return true;
+    });
+    if (!complete) return false;
+    if (block_count_ > before) {
         balls_[index] = {0.0, odometer_};
-    } else {
-        // A near cell whose triangles are all farther than the reach proves no more than the reach.
-        balls_[index] = {near_cells ? reach : std::sqrt(nearest_cell2) - ball.kept, odometer_};
+        return true;
     }
+    // Nothing within reach: how far is the nearest occupied cell? Until the tool has moved that far, leave the ball be.
+    const double outer = inner + std::max(2.0 * h, 3.0 * reach);
+    double nearest2 = outer * outer;
+    for_cells(outer, [&](const Brick&, int, double gap2) {
+        if (gap2 > inner * inner) nearest2 = std::min(nearest2, gap2);
+        return true;
+    });
+    balls_[index] = {std::min(std::sqrt(nearest2) - ball.kept, least), odometer_};
     return true;
 }
 
-double Candidates::gather(const Vec3& centre, double reach, std::span<const SolverBall> balls, TickCounters& counters) {
+double Candidates::gather(const Vec3& centre, double reach, std::span<const SolverBall> balls, TickCounters& counters,
+                          std::uint32_t stamp) {
+    stamp_ = stamp;
     odometer_ += norm(centre - centre_);
     centre_ = centre;
     for (int attempt = 0;; ++attempt) {
-        item_count_ = 0;
+        block_count_ = 0;
         bool complete = true;
+        double clear = std::numeric_limits<double>::infinity();
         for (std::uint32_t i = 0; i < balls.size() && complete; ++i) {
-            const double safe = balls_[i].safe - (odometer_ - balls_[i].odometer);
-            if (safe > reach) continue;
-            ++counters.balls;
-            complete = gather_ball(balls[i], i, reach, counters);
+            const auto safe = [&] { return balls_[i].safe - (odometer_ - balls_[i].odometer); };
+            if (safe() <= reach) {
+                ++counters.balls;
+                complete = gather_ball(balls[i], i, reach, counters);
+            }
+            clear = std::min(clear, safe());
         }
-        finish();
-        reach_ = reach;
         valid_ = true;
-        if (complete || attempt == 12) return complete ? reach : 0.0;
-        // Too many triangles near: take a shorter reach, and all safe distances found so far stay true.
+        // With nothing near, the candidates (none) stay complete for as long as the tool is clear.
+        reach_ = block_count_ == 0 && complete ? std::max(reach, clear) : reach;
+        if (complete || attempt == 12) return complete ? reach_ : 0.0;
+        // Too many triangles near: take a shorter reach. Safe distances found so far stay true.
         reach *= 0.5;
     }
 }

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "core/kernels.hpp"
-#include "core/level.hpp"
+#include "core/occupancy.hpp"
 #include "core/vec.hpp"
 
 namespace hapticlod {
@@ -33,11 +33,13 @@ public:
     static constexpr std::uint32_t kMaxBlocks = 4096;  // 32768 items
 
     void allocate(std::size_t balls);
-    void bind(const LevelView& level, const Kernels& kernels);
+    void bind(const ActiveLevel& level, const Kernels& kernels);
 
-    // Everything that a ball could touch while the reference point stays within `reach` of centre. Returns the reach
-    // that could be granted (less where the scratch is too small).
-    double gather(const Vec3& centre, double reach, std::span<const SolverBall> balls, TickCounters& counters);
+    // Everything that a ball could touch while the reference point stays within `reach` of centre, evaluated from
+    // there. Items beyond the reach and repeated ones may be among it. Returns the reach that could be granted (less
+    // where the scratch is too small).
+    double gather(const Vec3& centre, double reach, std::span<const SolverBall> balls, TickCounters& counters,
+                  std::uint32_t stamp = 0);
 
     void invalidate() { valid_ = false; }
     // Forget the safe distances too: the level or the tool changed.
@@ -49,10 +51,6 @@ public:
     [[nodiscard]] const Vec3& centre() const { return centre_; }
     [[nodiscard]] double reach() const { return reach_; }
     [[nodiscard]] std::uint32_t block_count() const { return block_count_; }
-    // Lanes of a block that carry items of their own.
-    [[nodiscard]] std::uint32_t lanes(std::uint32_t i) const {
-        return i + 1 < block_count_ || item_count_ % 8 == 0 ? 8 : item_count_ % 8;
-    }
     [[nodiscard]] const ItemBlock& block(std::uint32_t i) const { return blocks_[i]; }
     [[nodiscard]] EvalBlock& evaluation(std::uint32_t i) { return evaluations_[i]; }
     [[nodiscard]] const EvalBlock& evaluation(std::uint32_t i) const { return evaluations_[i]; }
@@ -67,23 +65,19 @@ public:
 
 private:
     bool gather_ball(const SolverBall& ball, std::uint32_t index, double reach, TickCounters& counters);
-    bool append(const TriBlock& block, std::uint32_t lane, const Vec3& ball_centre, const SolverBall& ball,
-                std::uint32_t index);
-    void finish();
-
     struct BallState {
         double safe = 0.0;      // clear by this much ...
         double odometer = 0.0;  // ... when the path length was this
     };
 
-    LevelView level_;
+    const ActiveLevel* level_ = nullptr;
     const Kernels* kernels_ = nullptr;
     std::vector<ItemBlock> blocks_;
     std::vector<EvalBlock> evaluations_;
     std::vector<double> keys_;
     std::vector<std::uint32_t> stamps_;
     std::vector<BallState> balls_;
-    std::uint32_t item_count_ = 0, block_count_ = 0;
+    std::uint32_t block_count_ = 0, stamp_ = 0;
     Vec3 centre_;
     double reach_ = 0.0, odometer_ = 0.0;
     bool valid_ = false;

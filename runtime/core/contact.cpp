@@ -52,25 +52,21 @@ double time_of_touch(const Triangle& triangle, const Vec3& p, const Vec3& step, 
     return t;
 }
 
-void ContactSolver::bind(const LevelView& level, const Kernels& kernels, const Tolerances& tolerances) {
+void ContactSolver::bind(const ActiveLevel& level, const Kernels& kernels, const Tolerances& tolerances) {
     kernels_ = &kernels;
     tolerances_ = tolerances;
-    mean_edge_mm_ = double{level.hash->mean_edge_mm};
-    cell_mm_ = level.hash->cell_mm;
+    mean_edge_mm_ = double{level.view.hash->mean_edge_mm};
+    cell_mm_ = level.view.hash->cell_mm;
     candidates_.bind(level, kernels);
 }
 
-// Renews every block that could be within `within` of being touched, seen from local_.
-void ContactSolver::evaluate(double within, TickCounters& counters) {
+// Evaluates a block from where the tool is now. An older evaluation still bounds it: a plane
+// that separated a triangle once separates it for good, so a block is renewed only where its old planes say too little.
+void ContactSolver::renew(std::uint32_t i, TickCounters& counters) {
     const float p[3] = {static_cast<float>(local_.x), static_cast<float>(local_.y), static_cast<float>(local_.z)};
-    for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
-        double& key = candidates_.key(i);
-        if (key - path_ > within || candidates_.stamp(i) == stamp_) continue;
-        candidates_.stamp(i) = stamp_;
-        const float least = kernels_->eval(candidates_.block(i), p, candidates_.evaluation(i));
-        key = double{least} + path_;
-        counters.tests += 8;
-    }
+    candidates_.key(i) = path_ + double{kernels_->eval(candidates_.block(i), p, candidates_.evaluation(i))};
+    candidates_.stamp(i) = stamp_;
+    counters.tests += 8;
 }
 
 bool ContactSolver::separated(const Triangle& t, double kept) const {
@@ -82,11 +78,16 @@ bool ContactSolver::separated(const Triangle& t, double kept) const {
     return false;
 }
 
-void ContactSolver::collect_touching(std::span<const SolverBall> balls) {
+void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCounters& counters) {
     std::size_t count = 0;
     const double within = tolerances_.touching;
+    const float p[3] = {static_cast<float>(local_.x), static_cast<float>(local_.y), static_cast<float>(local_.z)};
     for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
         if (candidates_.key(i) - path_ > within) continue;
+        if (candidates_.stamp(i) != stamp_) {
+            if (kernels_->crossed(candidates_.evaluation(i), p, static_cast<float>(within)) == 0) continue;
+            renew(i, counters);
+        }
         const EvalBlock& e = candidates_.evaluation(i);
         const ItemBlock& b = candidates_.block(i);
         for (std::uint32_t k = 0; k < 8; ++k) {
@@ -119,17 +120,24 @@ void ContactSolver::collect_touching(std::span<const SolverBall> balls) {
     }
 }
 
-double ContactSolver::sweep(const Vec3& step, std::span<const SolverBall> balls) const {
+double ContactSolver::sweep(const Vec3& step, std::span<const SolverBall> balls, TickCounters& counters) {
     const double length = norm(step);
     const Vec3 y = local_ + step;
+    const float from[3] = {static_cast<float>(local_.x), static_cast<float>(local_.y), static_cast<float>(local_.z)};
     const float to[3] = {static_cast<float>(y.x), static_cast<float>(y.y), static_cast<float>(y.z)};
     const float margin = static_cast<float>(tolerances_.skin);
     double first = 2.0;
     for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
         if (candidates_.key(i) - path_ > length) continue;
-        const ItemBlock& b = candidates_.block(i);
-        for (std::uint32_t bits = kernels_->crossed(candidates_.evaluation(i), to, margin); bits != 0;
-             bits &= bits - 1) {
+        // One plane with both ends on its free side keeps the whole step free.
+        std::uint32_t bits = kernels_->crossed(candidates_.evaluation(i), to, margin);
+        if (candidates_.stamp(i) != stamp_) {
+            bits |= kernels_->crossed(candidates_.evaluation(i), from, margin);
+            if (bits == 0) continue;
+            renew(i, counters);
+            bits = kernels_->crossed(candidates_.evaluation(i), to, margin);
+        }
+        for (const ItemBlock& b = candidates_.block(i); bits != 0; bits &= bits - 1) {
             const auto k = static_cast<std::uint32_t>(std::countr_zero(bits));
             const Triangle t = item_triangle(b, k);
             const double kept = balls[b.ball[k]].kept;
@@ -147,15 +155,19 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
                                TickCounters& counters) {
     Contact out;
     out.converged = false;
-    const double shortest = std::max(0.5 * mean_edge_mm_, 16.0 * tolerances_.skin);
-    const double wanted = std::clamp(3.0 * motion_mm, shortest, std::max(4.0 * cell_mm_, shortest));
+    // Far enough for about two ticks at this speed: a longer reach gathers more than it saves.
+    const double slack = 2.0 * tolerances_.skin;
+    const double wanted =
+        std::max(std::min(1.5 * motion_mm, 4.0 * cell_mm_) + 0.5 * mean_edge_mm_, 16.0 * tolerances_.skin);
+    if (candidates_.valid() && norm(x_ - candidates_.centre()) + 1.1 * motion_mm > candidates_.reach() - slack)
+        candidates_.invalidate();
     Slide slide;
     for (int k = 0; k < kMaxIterations; ++k) {
         ++counters.iterations;
+        ++stamp_;
         // Candidates are good while x and everything within touching distance stays inside their reach.
-        const double slack = 2.0 * tolerances_.skin;
         if (!candidates_.valid() || norm(x_ - candidates_.centre()) > 0.75 * (candidates_.reach() - slack)) {
-            const double granted = candidates_.gather(x_, wanted, balls, counters);
+            const double granted = candidates_.gather(x_, wanted, balls, counters, stamp_);
             if (granted < wanted) counters.errors |= kErrCandidates;
             path_ = 0.0;
             if (granted <= 2.0 * slack) {
@@ -167,9 +179,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         }
         const Vec3 centre = candidates_.centre();
         local_ = x_ - centre;
-        ++stamp_;
-        evaluate(tolerances_.touching, counters);
-        collect_touching(balls);
+        collect_touching(balls, counters);
         const PlaneSolution solution = nearest_feasible(planes_, hip - centre, false, 1e-3 * tolerances_.settled);
         Vec3 step = solution.y - local_;
         double length = norm(step);
@@ -196,8 +206,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
             whole = std::clamp((-b + std::sqrt(std::max(b * b - a * c, 0.0))) / a, 0.0, 1.0);
             step = step * whole;
         }
-        evaluate(length * whole, counters);
-        const double t = std::min(sweep(step, balls), 1.0);
+        const double t = std::min(sweep(step, balls, counters), 1.0);
         x_ += step * t;
         path_ += length * whole * t;
         if (planes_.count == 0 && whole == 1.0 && t == 1.0) {

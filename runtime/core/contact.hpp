@@ -50,7 +50,7 @@ public:
         candidates_.allocate(max_balls);
         touches_.resize(kMaxTouches);
     }
-    void bind(const LevelView& level, const Kernels& kernels, const Tolerances& tolerances);
+    void bind(const ActiveLevel& level, const Kernels& kernels, const Tolerances& tolerances);
 
     // Place the reference point without sweeping (free space, or a mapped contact).
     void place(const Vec3& x) { x_ = x; }
@@ -75,9 +75,9 @@ private:
         std::uint32_t block, lane;
     };
 
-    void evaluate(double within, TickCounters& counters);
-    void collect_touching(std::span<const SolverBall> balls);
-    [[nodiscard]] double sweep(const Vec3& step, std::span<const SolverBall> balls) const;
+    void renew(std::uint32_t block, TickCounters& counters);
+    void collect_touching(std::span<const SolverBall> balls, TickCounters& counters);
+    [[nodiscard]] double sweep(const Vec3& step, std::span<const SolverBall> balls, TickCounters& counters);
     [[nodiscard]] bool separated(const Triangle& t, double kept) const;
 
     Candidates candidates_;

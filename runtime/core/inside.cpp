@@ -1,6 +1,7 @@
 #include "core/inside.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "core/mapping.hpp"
@@ -35,7 +36,7 @@ Vec3 weighted_normal(const Triangle& t, const ClosestPoint& c, double same2) {
 double least_clearance(const Candidates& candidates, const Vec3& x, std::span<const SolverBall> balls) {
     double least = 1e300;
     for (std::uint32_t i = 0; i < candidates.block_count(); ++i)
-        for (std::uint32_t k = 0; k < candidates.lanes(i); ++k) {
+        for (std::uint32_t k = 0; k < 8; ++k) {
             const ItemBlock& b = candidates.block(i);
             const double d2 = closest_on_triangle(x - candidates.centre(), item_triangle(b, k)).distance2;
             least = std::min(least, std::sqrt(d2) - balls[b.ball[k]].kept);
@@ -64,21 +65,31 @@ SurfaceSide surface_side(ContactSolver& solver, std::span<const SolverBall> ball
     const Vec3 x = solver.position();
     const double same = 1e-3 * solver.tolerances().skin;
     SurfaceSide side;
+    constexpr std::size_t kMostAround = 64;  // triangles around one vertex
+    std::array<std::uint32_t, kMostAround> counted;
+    std::size_t around = 0;
     for (double c = std::min(solver.cell_mm(), bound_mm);; c = std::min(2.0 * c, bound_mm)) {
         const double granted = candidates.gather(x, c, balls, counters);
         double least = 1e300;
         for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
             const ItemBlock& b = candidates.block(i);
             counters.tests += 8;
-            for (std::uint32_t k = 0; k < candidates.lanes(i); ++k) {
+            for (std::uint32_t k = 0; k < 8; ++k) {
                 const ClosestPoint p = closest_on_triangle({}, item_triangle(b, k));
                 const SolverBall& ball = balls[b.ball[k]];
                 const double clearance = std::sqrt(p.distance2) - ball.kept;
                 if (clearance > least + same) continue;
-                const Vec3 n = weighted_normal(item_triangle(b, k), p, same * same);
-                if (clearance < least - same)
+                if (clearance < least - same) {
                     side = {true, std::sqrt(p.distance2), p.point + ball.offset + x, {}, b.ball[k]};
-                if (b.ball[k] == side.ball) side.normal += n;
+                    around = 0;
+                }
+                // Each triangle counts once, though candidates may repeat it.
+                const auto last = counted.begin() + static_cast<std::ptrdiff_t>(around);
+                if (b.ball[k] == side.ball && around < kMostAround &&
+                    std::find(counted.begin(), last, b.triangle[k]) == last) {
+                    counted[around++] = b.triangle[k];
+                    side.normal += weighted_normal(item_triangle(b, k), p, same * same);
+                }
                 least = std::min(least, clearance);
             }
         }

@@ -24,8 +24,10 @@ struct alignas(32) EvalBlock {
 
 struct Kernels {
     const char* name;
-    // Squared distances and closest points of a block's triangles from p.
-    void (*closest)(const TriBlock& block, const float p[3], float distance2[8], float closest[3][8]);
+    // A stored block as items of one ball, relative to (shift + residual), evaluated from there; returns the least
+    // clearance. shift is the float nearest to the ball's centre, residual what it leaves.
+    float (*gather)(const TriBlock& block, const float shift[3], const float residual[3], float radius, ItemBlock& out,
+                    EvalBlock& evaluation);
     // Separating planes and clearances from p; returns the least clearance.
     float (*eval)(const ItemBlock& block, const float p[3], EvalBlock& out);
     // Bit k: the plane of lane k does not keep y away, n.y - offset < margin.

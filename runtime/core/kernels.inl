@@ -82,14 +82,6 @@ HAPTICLOD_INLINE void root(const F8& v, F8& out) {
 
 }  // namespace
 
-void closest(const TriBlock& block, const float p[3], float distance2[8], float closest_point[3][8]) {
-    V8 r;
-    F8 r2;
-    residual(block.v, p, r, r2);
-    store(distance2, r2);
-    store(closest_point[0], p[0] - r.x), store(closest_point[1], p[1] - r.y), store(closest_point[2], p[2] - r.z);
-}
-
 float eval(const ItemBlock& block, const float p[3], EvalBlock& out) {
     V8 r;
     F8 r2, radius;
@@ -107,6 +99,21 @@ float eval(const ItemBlock& block, const float p[3], EvalBlock& out) {
     float least = out.clearance[0];
     for (int k = 1; k < 8; ++k) least = out.clearance[k] < least ? out.clearance[k] : least;
     return least;
+}
+
+float gather(const TriBlock& block, const float shift[3], const float residual[3], float radius, ItemBlock& out,
+             EvalBlock& evaluation) {
+    for (int row = 0; row < 9; ++row) {
+        F8 v;
+        load(block.v[row], v);
+        store(out.v[row], (v - shift[row % 3]) - residual[row % 3]);
+    }
+    for (int k = 0; k < 8; ++k) {
+        out.radius[k] = radius;
+        out.triangle[k] = block.id[k] == kNoNeighbour ? block.id[0] : block.id[k];
+    }
+    const float here[3] = {0.0f, 0.0f, 0.0f};
+    return eval(out, here, evaluation);
 }
 
 std::uint32_t crossed(const EvalBlock& block, const float y[3], float margin) {

@@ -125,7 +125,8 @@ struct HashHeader {
     float bbox_max[3];
     float max_edge_mm;
     float mean_edge_mm;
-    std::uint32_t reserved[6];
+    float loose_mm;  // a triangle listed in one cell alone may stand out of it by this
+    std::uint32_t reserved[5];
 };
 static_assert(sizeof(HashHeader) == 104);
 

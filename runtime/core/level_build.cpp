@@ -82,6 +82,42 @@ private:
     std::uint32_t last_ = kEmpty;
 };
 
+// A triangle listed once may stand out of its cell by this much of the cell's edge.
+constexpr double kMostLoose = 0.35;
+
+// Triangles along a Morton curve through their first corners: least-significant-digit radix sort of 30-bit keys.
+std::vector<std::uint32_t> morton_order(std::span<const float> vertices, std::span<const std::uint32_t> faces,
+                                        const HashHeader& h) {
+    float size = 0.0f;
+    for (int k = 0; k < 3; ++k) size = std::max(size, h.bbox_max[k] - h.bbox_min[k]);
+    const float scale = size > 0.0f ? 1023.0f / size : 0.0f;
+    const std::size_t n = faces.size() / 3;
+    struct Keyed {
+        std::uint32_t key, face;
+    };
+    std::vector<Keyed> from(n), to(n);
+    for (std::size_t f = 0; f < n; ++f) {
+        const float* v = &vertices[3 * std::size_t{faces[3 * f]}];
+        const auto at = [&](int k) { return static_cast<std::int32_t>((v[k] - h.bbox_min[k]) * scale); };
+        const std::uint64_t key = spread3(static_cast<std::uint64_t>(at(0))) |
+                                  spread3(static_cast<std::uint64_t>(at(1))) << 1 |
+                                  spread3(static_cast<std::uint64_t>(at(2))) << 2;
+        from[f] = {static_cast<std::uint32_t>(key), static_cast<std::uint32_t>(f)};
+    }
+    constexpr int kDigit = 10;
+    for (int shift = 0; shift < 30; shift += kDigit) {
+        std::vector<std::uint32_t> at((std::size_t{1} << kDigit) + 1, 0);
+        const auto digit = [shift](std::uint32_t key) { return key >> shift & ((1u << kDigit) - 1); };
+        for (const Keyed& e : from) ++at[digit(e.key) + 1];
+        std::partial_sum(at.begin(), at.end(), at.begin());
+        for (const Keyed& e : from) to[at[digit(e.key)]++] = e;
+        from.swap(to);
+    }
+    std::vector<std::uint32_t> order(n);
+    for (std::size_t i = 0; i < n; ++i) order[i] = from[i].face;
+    return order;
+}
+
 struct Entry {
     std::uint32_t cell;  // brick * 64 + cell in brick
     std::uint32_t triangle;
@@ -171,42 +207,54 @@ std::string LevelStorage::build(std::span<const float> vertices, std::span<const
         extent = std::max({extent, std::abs(double{header_.bbox_min[k]}), std::abs(double{header_.bbox_max[k]})});
     if (extent / cell_mm > 1e6) return "cell_mm is too small for the size of the mesh";
 
-    // Pass 1: which cells does each triangle meet?
+    // Pass 1: which cells does each triangle belong to? A small one to the cell of its middle alone, which it may
+    // leave by `loose`; a large one to every cell it meets. In Morton order, so that blocks of eight are compact.
     const double margin = 1e-4 * cell_mm + 4e-7 * extent;
     BrickTable table(nf / 8);
     std::vector<Entry> entries;
-    entries.reserve(2 * nf);
-    double edge_sum = 0.0, edge_max = 0.0;
-    for (std::uint32_t f = 0; f < nf; ++f) {
+    entries.reserve(nf + nf / 8);
+    double edge_sum = 0.0, edge_max = 0.0, loose = 0.0;
+    for (const std::uint32_t f : morton_order(vertices_, faces_, header_)) {
         const Triangle t{vertex(vertices_, faces_[3 * f]), vertex(vertices_, faces_[3 * f + 1]),
                          vertex(vertices_, faces_[3 * f + 2])};
         for (const double e : {norm(t.b - t.a), norm(t.c - t.b), norm(t.a - t.c)})
             edge_sum += e, edge_max = std::max(edge_max, e);
-        std::int32_t lo[3], hi[3];
         const double least[3] = {std::min({t.a.x, t.b.x, t.c.x}), std::min({t.a.y, t.b.y, t.c.y}),
                                  std::min({t.a.z, t.b.z, t.c.z})};
         const double most[3] = {std::max({t.a.x, t.b.x, t.c.x}), std::max({t.a.y, t.b.y, t.c.y}),
                                 std::max({t.a.z, t.b.z, t.c.z})};
-        bool single = true;
+        std::int32_t middle[3];
+        double overhang = 0.0;
         for (int k = 0; k < 3; ++k) {
-            lo[k] = static_cast<std::int32_t>(std::floor((least[k] - margin) / cell_mm));
-            hi[k] = static_cast<std::int32_t>(std::floor((most[k] + margin) / cell_mm));
-            single = single && lo[k] == hi[k];
+            middle[k] = static_cast<std::int32_t>(std::floor(0.5 * (least[k] + most[k]) / cell_mm));
+            overhang = std::max({overhang, middle[k] * cell_mm - least[k], most[k] - (middle[k] + 1) * cell_mm});
         }
-        for (std::int32_t z = lo[2]; z <= hi[2]; ++z)
-            for (std::int32_t y = lo[1]; y <= hi[1]; ++y)
-                for (std::int32_t x = lo[0]; x <= hi[0]; ++x) {
-                    if (!single && !meets_box(t, {(x + 0.5) * cell_mm, (y + 0.5) * cell_mm, (z + 0.5) * cell_mm},
-                                              0.5 * cell_mm + margin))
-                        continue;
-                    const std::uint32_t brick = table.find_or_add(x >> 2, y >> 2, z >> 2);
-                    const std::uint32_t cell = (x & 3) + 4 * (y & 3) + 16 * (z & 3);
-                    table.bricks[brick].mask |= std::uint64_t{1} << cell;
-                    entries.push_back({brick * kBrickCells + cell, f});
-                }
+        const auto list = [&](std::int32_t x, std::int32_t y, std::int32_t z) {
+            const std::uint32_t brick = table.find_or_add(x >> 2, y >> 2, z >> 2);
+            const std::uint32_t cell = (x & 3) + 4 * (y & 3) + 16 * (z & 3);
+            table.bricks[brick].mask |= std::uint64_t{1} << cell;
+            entries.push_back({brick * kBrickCells + cell, f});
+        };
+        if (overhang <= kMostLoose * cell_mm) {
+            loose = std::max(loose, overhang);
+            list(middle[0], middle[1], middle[2]);
+        } else {
+            std::int32_t lo[3], hi[3];
+            for (int k = 0; k < 3; ++k) {
+                lo[k] = static_cast<std::int32_t>(std::floor((least[k] - margin) / cell_mm));
+                hi[k] = static_cast<std::int32_t>(std::floor((most[k] + margin) / cell_mm));
+            }
+            for (std::int32_t z = lo[2]; z <= hi[2]; ++z)
+                for (std::int32_t y = lo[1]; y <= hi[1]; ++y)
+                    for (std::int32_t x = lo[0]; x <= hi[0]; ++x)
+                        if (meets_box(t, {(x + 0.5) * cell_mm, (y + 0.5) * cell_mm, (z + 0.5) * cell_mm},
+                                      0.5 * cell_mm + margin))
+                            list(x, y, z);
+        }
         if (entries.size() > 0xf0000000u || table.bricks.size() > 0x3ffffffu)
             return "cell_mm is too small: the hash would not fit";
     }
+    header_.loose_mm = static_cast<float>(loose * (1.0 + 1e-6) + margin);
     header_.mean_edge_mm = static_cast<float>(edge_sum / (3.0 * static_cast<double>(nf)));
     header_.max_edge_mm = static_cast<float>(edge_max);
 

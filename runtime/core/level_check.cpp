@@ -31,6 +31,7 @@ std::string check_level(const LevelView& view) {
     if (!(h.mean_edge_mm >= 0.0f) || !std::isfinite(h.mean_edge_mm) || !std::isfinite(h.max_edge_mm) ||
         !(h.max_edge_mm >= 0.0f))
         return "an edge length is not valid";
+    if (!(h.loose_mm >= 0.0f && double{h.loose_mm} <= h.cell_mm)) return "the cells' overhang is not valid";
     for (const float v : view.vertices)
         if (!std::isfinite(v)) return "a vertex is not finite";
     for (const float v : view.normals)

@@ -47,7 +47,7 @@ MappingOutcome Mapper::two_sided(ContactSolver& solver, const ContactMemory& mem
         for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
             const ItemBlock& b = candidates.block(i);
             counters.tests += 8;
-            for (std::uint32_t k = 0; k < candidates.lanes(i); ++k) {
+            for (std::uint32_t k = 0; k < 8; ++k) {
                 const Interval v =
                     blocked(item_triangle(b, k), {}, n, within, balls[b.ball[k]].kept, precision, memory.side);
                 if (v.from <= v.to) intervals_[count++] = v;
@@ -86,14 +86,14 @@ MappingOutcome Mapper::paper(ContactSolver& solver, const LevelView& level, cons
                              double length_mm, TickCounters& counters) {
     const double h = level.hash->cell_mm;
     const Vec3 p = memory.point, q = p + memory.normal * length_mm;
-    const double from[3] = {p.x, p.y, p.z}, to[3] = {q.x, q.y, q.z};
+    const double from[3] = {p.x, p.y, p.z}, to[3] = {q.x, q.y, q.z}, loose = double{level.hash->loose_mm};
     std::int32_t lo[3], hi[3];
     for (int k = 0; k < 3; ++k) {
         const std::int32_t first = 4 * level.hash->brick_min[k], last = 4 * level.hash->brick_max[k] + 3;
-        lo[k] =
-            static_cast<std::int32_t>(std::clamp(std::floor(std::min(from[k], to[k]) / h), first - 1.0, last + 1.0));
-        hi[k] =
-            static_cast<std::int32_t>(std::clamp(std::floor(std::max(from[k], to[k]) / h), first - 1.0, last + 1.0));
+        lo[k] = static_cast<std::int32_t>(
+            std::clamp(std::floor((std::min(from[k], to[k]) - loose) / h), first - 1.0, last + 1.0));
+        hi[k] = static_cast<std::int32_t>(
+            std::clamp(std::floor((std::max(from[k], to[k]) + loose) / h), first - 1.0, last + 1.0));
     }
     double nearest = 2.0;
     for (std::int32_t z = lo[2]; z <= hi[2]; ++z)

@@ -19,7 +19,7 @@ namespace hapticlod {
 
 struct Renderer::State {
     ConfigData config{};
-    std::vector<LevelView> levels;
+    std::vector<ActiveLevel> levels;
     std::vector<Vec3> tool_centres;
     std::vector<SolverBall> balls;
     Tolerances tolerances;
@@ -66,7 +66,8 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
         if (level.hash == nullptr || level.triangle_count() == 0) return "a level is empty";
     State& s = *state_;
     s.config = config;
-    s.levels.assign(levels.begin(), levels.end());
+    s.levels.clear();
+    for (const LevelView& level : levels) s.levels.emplace_back(level);
     const HashHeader& h = *levels[0].hash;
     s.extent_mm =
         norm(Vec3{h.bbox_max[0] - h.bbox_min[0], h.bbox_max[1] - h.bbox_min[1], h.bbox_max[2] - h.bbox_min[2]});
@@ -104,7 +105,9 @@ void Renderer::reset() noexcept { state_->forget(); }
 void Renderer::set_coarsest_floor(std::uint32_t level) noexcept { state_->level_switch.set_floor(level); }
 const ConfigData& Renderer::config() const noexcept { return state_->config; }
 std::size_t Renderer::scratch_bytes() const noexcept {
-    return sizeof(State) + state_->solver.candidates().bytes() + Mapper::bytes();
+    std::size_t size = sizeof(State) + state_->solver.candidates().bytes() + Mapper::bytes();
+    for (const ActiveLevel& level : state_->levels) size += level.bytes();
+    return size;
 }
 
 // Rotates the tool about its reference point.
@@ -178,7 +181,7 @@ MappingOutcome Renderer::State::change_level(std::uint32_t from, std::uint32_t t
         return MappingOutcome::none;
     }
     solver.bind(levels[to], best_kernels(), tolerances);
-    if (paper) return Mapper::paper(solver, levels[to], memory, config.l_out_mm, counters);
+    if (paper) return Mapper::paper(solver, levels[to].view, memory, config.l_out_mm, counters);
     const MappingOutcome outcome =
         mapper.two_sided(solver, memory, config.l_in_mm, config.l_out_mm, config.closest_bound_mm, tool(to), counters);
     if (outcome == MappingOutcome::miss) {
@@ -232,7 +235,7 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, double moti
     memory.normal = depth > 0.0 ? d * (1.0 / depth) : p.normal;
     memory.point = p.point;
     memory.ball = p.ball;
-    memory.side = dot(face_normal(levels[level], p.triangle), p.normal) < 0.0 ? -1.0 : 1.0;
+    memory.side = dot(face_normal(levels[level].view, p.triangle), p.normal) < 0.0 ? -1.0 : 1.0;
 }
 
 Vec3 Renderer::State::force(std::uint32_t level, const Vec3& scp) const {
@@ -240,7 +243,7 @@ Vec3 Renderer::State::force(std::uint32_t level, const Vec3& scp) const {
     if (config.shading != 0) {
         Vec3 sum;
         for (int i = 0; i < contact.active; ++i)
-            sum += shaded_normal(levels[level], contact.planes[i].triangle, contact.planes[i].point,
+            sum += shaded_normal(levels[level].view, contact.planes[i].triangle, contact.planes[i].point,
                                  contact.planes[i].normal) *
                    contact.multiplier[i];
         if (const double length = norm(sum); length > 0.0) d = sum * (norm(d) / length);

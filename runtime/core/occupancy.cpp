@@ -1,0 +1,51 @@
+#include "core/occupancy.hpp"
+
+#include <cmath>
+
+namespace hapticlod {
+
+void Occupancy::build(const LevelView& level) {
+    constexpr std::size_t kMostBits = std::size_t{1} << 24;  // 2 MB
+    const HashHeader& h = *level.hash;
+    for (shift_ = 0;; ++shift_) {
+        std::size_t bits = 1;
+        bool fits = true;
+        for (int k = 0; k < 3; ++k) {
+            size_[k] = static_cast<std::size_t>((std::int64_t{h.brick_max[k]} - h.brick_min[k]) >> shift_) + 1;
+            fits = fits && bits <= kMostBits / size_[k];
+            bits *= size_[k];
+        }
+        if (fits) break;
+    }
+    words_.assign((size_[0] * size_[1] * size_[2] + 63) / 64, 0);
+    for (const Brick& b : level.bricks) {
+        const std::size_t bit = row_of(level, b.y, b.z) + static_cast<std::size_t>((b.x - h.brick_min[0]) >> shift_);
+        words_[bit >> 6] |= std::uint64_t{1} << (bit & 63);
+    }
+}
+
+ActiveLevel::ActiveLevel(const LevelView& level) : view(level) {
+    occupancy.build(level);
+    spheres.reserve(level.blocks.size());
+    for (const TriBlock& block : level.blocks) {
+        float lo[3], hi[3];
+        for (int k = 0; k < 3; ++k) {
+            lo[k] = hi[k] = block.v[k][0];
+            for (int row = k; row < 9; row += 3)
+                for (const float v : block.v[row]) lo[k] = std::min(lo[k], v), hi[k] = std::max(hi[k], v);
+        }
+        Sphere s{0.5f * (lo[0] + hi[0]), 0.5f * (lo[1] + hi[1]), 0.5f * (lo[2] + hi[2]), 0.0f};
+        float most = 0.0f, size = 0.0f;
+        for (int corner = 0; corner < 9; corner += 3)
+            for (int lane = 0; lane < 8; ++lane) {
+                const float dx = block.v[corner][lane] - s.x, dy = block.v[corner + 1][lane] - s.y,
+                            dz = block.v[corner + 2][lane] - s.z;
+                most = std::max(most, dx * dx + dy * dy + dz * dz);
+            }
+        for (int k = 0; k < 3; ++k) size = std::max({size, std::abs(lo[k]), std::abs(hi[k])});
+        s.radius = std::sqrt(most) * 1.000001f + size * 1e-6f;  // outward, whatever the rounding
+        spheres.push_back(s);
+    }
+}
+
+}  // namespace hapticlod
