@@ -27,6 +27,7 @@ using IndexRows = nb::ndarray<const std::uint32_t, nb::shape<-1, 3>, nb::c_conti
 using Times = nb::ndarray<const double, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
 using Positions = nb::ndarray<const double, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
 using Quaternions = nb::ndarray<const double, nb::shape<-1, 4>, nb::c_contig, nb::device::cpu>;
+using Floors = nb::ndarray<const std::uint32_t, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
 using Balls = nb::ndarray<const double, nb::shape<-1, 4>, nb::c_contig, nb::device::cpu>;
 
 class Level {
@@ -84,10 +85,11 @@ public:
     }
 
     nb::bytes replay(const Times& time_s, const Positions& position_mm, const std::optional<Quaternions>& orientation,
-                     int repeats) {
+                     int repeats, const std::optional<Floors>& floors) {
         const std::size_t n = time_s.shape(0);
-        if (position_mm.shape(0) != n || (orientation && orientation->shape(0) != n))
-            throw std::invalid_argument("time_s, position_mm and orientation differ in length");
+        if (position_mm.shape(0) != n || (orientation && orientation->shape(0) != n) ||
+            (floors && floors->shape(0) != n))
+            throw std::invalid_argument("time_s, position_mm, orientation and floors differ in length");
         if (repeats < 1) throw std::invalid_argument("repeats must be at least 1");
         std::vector<hapticlod::TickRecord> rows(n);
         {
@@ -99,6 +101,7 @@ public:
                     hapticlod::Pose pose{{position_mm(i, 0), position_mm(i, 1), position_mm(i, 2)}};
                     if (orientation)
                         for (std::size_t k = 0; k < 4; ++k) pose.orientation[k] = (*orientation)(i, k);
+                    if (floors) renderer_.set_coarsest_floor((*floors)(i));
                     const auto start = std::chrono::steady_clock::now();
                     renderer_.tick(pose, time_s(i), rows[i]);
                     const std::chrono::duration<float, std::nano> ns = std::chrono::steady_clock::now() - start;
@@ -153,7 +156,8 @@ NB_MODULE(_runtime, m) {
 
     nb::class_<Renderer>(m, "Renderer", "The tick over some levels, for one tool. balls (P, 4): x, y, z, radius in mm.")
         .def(nb::init<const nb::list&, const nb::bytes&, const Balls&>(), "levels"_a, "config"_a, "balls"_a)
-        .def("replay", &Renderer::replay, "time_s"_a, "position_mm"_a, "orientation"_a = nb::none(), "repeats"_a = 1)
+        .def("replay", &Renderer::replay, "time_s"_a, "position_mm"_a, "orientation"_a = nb::none(), "repeats"_a = 1,
+             "floors"_a = nb::none(), "floors (n,) uint32: the coarsest floor set before each tick.")
         .def("tick", &Renderer::tick, "time_s"_a, "position_mm"_a, "orientation"_a = nb::none())
         .def("reset", &Renderer::reset)
         .def("set_coarsest_floor", &Renderer::set_coarsest_floor, "level"_a)
