@@ -57,12 +57,6 @@ def resealed(file: bytes, change: Callable[[np.ndarray], None]) -> bytes:
     return bytes(spoiled)
 
 
-def refused_in_memory(file: bytes | bytearray) -> None:
-    """What every way of reading does first; thousands of files need no disk."""
-    with pytest.raises(InputError):
-        read_sections(np.frombuffer(bytes(file), dtype=np.uint8), "memory")
-
-
 def refusal(path: Path, file: bytes | bytearray) -> str:
     path.write_bytes(file)
     with pytest.raises(InputError) as caught:
@@ -151,25 +145,30 @@ def test_a_level_read_back_renders_the_same(parts: dict[str, Any], bundle_path: 
 def test_every_cut_is_refused(bundle_path: Path) -> None:
     file = bundle_path.read_bytes()
     for length in [*range(1, 200), *range(200, len(file), 211)]:
-        refused_in_memory(file[:length])
+        with pytest.raises(InputError):  # what every way of reading does first; thousands of cuts need no disk
+            read_sections(np.frombuffer(file, dtype=np.uint8)[:length], "memory")
     assert "is empty" in refusal(bundle_path, b"")
     assert "cut short" in refusal(bundle_path, file[:63])
     assert "header promises" in refusal(bundle_path, file[:-1])
     assert run_station("inspect", bundle_path).returncode == 2
 
 
-def test_every_flipped_byte_of_header_table_and_indices_is_refused(bundle_path: Path) -> None:
-    file = bundle_path.read_bytes()
-    sections = read_bundle(bundle_path).sections
+def test_every_flipped_byte_of_header_table_and_indices_is_refused(parts: dict[str, Any], tmp_path: Path) -> None:
+    path = tmp_path / "small.hlod"
+    write_bundle(path, **{**parts, "golden_motion": None, "golden_record": None})
+    file = np.fromfile(path, dtype=np.uint8)
+    sections = read_sections(file, "memory")
     places = list(range(64 + 64 * len(sections)))
     for section in sections:
         if section.type in LEVEL_SECTIONS and section.level == 1:
             step = 17 if section.type == SectionType.BLOCKS else 1
             places += range(section.offset, section.offset + section.length, step)
     for place in places:
-        flipped = bytearray(file)
-        flipped[place] ^= 0x10
-        refused_in_memory(flipped)
+        file[place] ^= 0x10
+        with pytest.raises(InputError):
+            read_sections(file, "memory")
+        file[place] ^= 0x10
+    assert len(read_sections(file, "memory")) == len(sections)
 
 
 def test_wrong_magic_and_future_version_are_named(bundle_path: Path) -> None:

@@ -4,6 +4,7 @@
 #include <charconv>
 #include <cmath>
 #include <cstddef>
+#include <optional>
 
 #include "io/mapped_file.hpp"
 
@@ -49,6 +50,7 @@ struct Columns {
     char separator = ',';
     std::size_t count = 0;
     std::array<std::size_t, kFields> place{};
+    std::optional<std::size_t> segment;  // where the file says which of several motions a row belongs to
     bool oriented = false;
 };
 
@@ -59,6 +61,7 @@ Result<Columns> parse_header(std::string_view line, const std::string& where) {
     columns.count = names.size();
     std::array<bool, kFields> found{};
     for (std::size_t place = 0; place < names.size(); ++place) {
+        if (names[place] == "seg") columns.segment = place;
         for (std::size_t field = 0; field < kFields; ++field) {
             if (names[place] != kNames[field]) continue;
             if (found[field]) return Fault{where, "column " + quoted(names[place]) + " appears twice", kHeaderRemedy};
@@ -75,7 +78,12 @@ Result<Columns> parse_header(std::string_view line, const std::string& where) {
     return columns;
 }
 
-Result<MotionRow> parse_row(std::string_view line, const Columns& columns, const std::string& where) {
+struct ParsedRow {
+    MotionRow row;
+    std::string_view segment;
+};
+
+Result<ParsedRow> parse_row(std::string_view line, const Columns& columns, const std::string& where) {
     const std::vector<std::string_view> parts = split(line, columns.separator);
     if (parts.size() != columns.count) {
         return Fault{where,
@@ -94,7 +102,8 @@ Result<MotionRow> parse_row(std::string_view line, const Columns& columns, const
                          "correct or remove the line"};
         }
     }
-    return MotionRow{values[0], {values[1], values[2], values[3]}, {values[4], values[5], values[6], values[7]}};
+    return ParsedRow{{values[0], {values[1], values[2], values[3]}, {values[4], values[5], values[6], values[7]}},
+                     columns.segment ? parts[*columns.segment] : std::string_view{}};
 }
 
 }  // namespace
@@ -102,6 +111,7 @@ Result<MotionRow> parse_row(std::string_view line, const Columns& columns, const
 Result<std::vector<MotionRow>> parse_motion_csv(std::string_view text, const std::string& name) {
     std::vector<MotionRow> rows;
     Columns columns;
+    std::string_view segment;
     if (text.starts_with("\xef\xbb\xbf")) text.remove_prefix(3);  // byte-order mark
     for (std::size_t number = 1; !text.empty(); ++number) {
         const std::size_t stop = text.find('\n');
@@ -116,13 +126,18 @@ Result<std::vector<MotionRow>> parse_motion_csv(std::string_view text, const std
             columns = header.value();
             continue;
         }
-        const Result<MotionRow> row = parse_row(line, columns, where);
-        if (!row) return row.fault();
-        if (!rows.empty() && row.value().time_s <= rows.back().time_s) {
+        const Result<ParsedRow> parsed = parse_row(line, columns, where);
+        if (!parsed) return parsed.fault();
+        const auto& [row, row_segment] = parsed.value();
+        if (rows.empty()) segment = row_segment;
+        if (row_segment != segment) {
+            return Fault{where, "a second segment begins", "keep one value of seg per file"};
+        }
+        if (!rows.empty() && row.time_s <= rows.back().time_s) {
             return Fault{where, "t_s does not increase",
                          "sort the rows by time, or split the file where time restarts"};
         }
-        rows.push_back(row.value());
+        rows.push_back(row);
     }
     if (columns.count == 0) return Fault{name, "has no header", kHeaderRemedy};
     if (std::string reason = check_motion(rows); !reason.empty()) return Fault{name, reason, "record the motion again"};

@@ -1,5 +1,6 @@
 // Reads hand motion from CSV or TSV text. Header required: t_s, x_mm, y_mm, z_mm in any order, optionally qw, qx, qy,
-// qz (all or none); other columns are ignored, lines that start with # and blank lines are skipped.
+// qz (all or none); other columns are ignored, lines that start with # and blank lines are skipped. A column seg must
+// not change: a station plays one motion.
 #pragma once
 #include <string>
 #include <string_view>

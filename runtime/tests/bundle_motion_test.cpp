@@ -59,6 +59,7 @@ TEST(MotionCsv, SaysWhatIsWrongAndWhere) {
     expect_fault(head + "0.1,1,2,-inf\n", "z_mm is not finite");
     expect_fault(head + "0.1,1e999,2,3\n", "x_mm is not a number");
     expect_fault(head + "0.1,1,2,3\n0.1,1,2,3\n", "probe.csv:4: t_s does not increase");
+    expect_fault("seg,t_s,x_mm,y_mm,z_mm\n7,0,1,2,3\n8,1,1,2,3\n", "probe.csv:3: a second segment begins");
     expect_fault("t_s,x_mm,y_mm,z_mm,qw,qx,qy,qz\n0,0,0,0,1,0,0,0\n1,0,0,0,1,1,0,0\n", "unit quaternion");
     expect_fault(std::string("t_s,x_mm,y_mm,z_mm\n0,1,2,3\n\0\x01,1,2,3\n", 36), "probe.csv:3: t_s is not a number");
 }
