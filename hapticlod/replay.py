@@ -31,6 +31,8 @@ class Record:
         stiffness_n_mm: rendered stiffness.
         level_triangles: (K,) triangles per level.
         level_bytes: (K,) resident bytes per level.
+        blend_s: how long a switch's offset decays: metrics look for its jump that long.
+        slowdown: factor of a what-if station on measured cost.
     """
 
     rows: np.ndarray
@@ -39,6 +41,8 @@ class Record:
     stiffness_n_mm: float
     level_triangles: tuple[int, ...]
     level_bytes: tuple[int, ...]
+    blend_s: float = 0.0
+    slowdown: float = 1.0
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -85,8 +89,8 @@ class Record:
 
     @cached_property
     def cost_us(self) -> np.ndarray:
-        """(T,) measured time of each tick, us."""
-        return self.rows["cost_ns"].astype(np.float64) * 1e-3
+        """(T,) time of each tick, us: as measured, times the station's slowdown."""
+        return self.rows["cost_ns"].astype(np.float64) * (1e-3 * self.slowdown)
 
 
 def local_vertices(rung: Rung, origin_mm: np.ndarray) -> np.ndarray:
@@ -124,6 +128,8 @@ def replay_levels(
         stiffness_n_mm=station.stiffness_n_mm,
         level_triangles=tuple(level.triangles for level in levels),
         level_bytes=tuple(level.bytes for level in levels),
+        blend_s=config.blend_ms * 1e-3,
+        slowdown=station.slowdown,
     )
 
 
