@@ -14,7 +14,7 @@ CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
 
-.PHONY: help setup build test test-cpp test-sanitized test-python lint format demo clean
+.PHONY: help setup build test test-cpp test-sanitized test-python lint format demo bench clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -45,7 +45,7 @@ test-sanitized: setup  ## C++ tests under AddressSanitizer and UndefinedBehavior
 test-python: build  ## Python tests
 	@$(BIN)/python -m pytest -q
 
-lint: setup  ## ruff, pyright, clang-format: nothing is changed
+lint: build  ## ruff, pyright, clang-format: nothing is changed
 	@$(BIN)/ruff check $(PY_DIRS)
 	@$(BIN)/ruff format --check $(PY_DIRS)
 	@$(BIN)/pyright --warnings
@@ -58,5 +58,8 @@ format:  ## reformat Python and C++
 demo: build  ## from nothing to a running station: make a scan, tune it, run it
 	@$(BIN)/python scripts/demo.py
 
+bench: build  ## what a tick costs: sphere, five tools, three speeds
+	@$(BIN)/python benchmarks/contact_table.py
+
 clean:  ## remove build products (keeps .venv)
-	@rm -rf build dist hapticlod/_runtime*.so
+	@rm -rf build dist hapticlod/_runtime.*

@@ -34,7 +34,8 @@ def call(*words: object, keep: bool = False) -> str:
     """Show and run one command; stop with its status when it fails. With `keep`, its output is shown and returned."""
     command = [str(word) for word in words]
     print("$ " + shlex.join(command), flush=True)
-    done = subprocess.run([str(REPOSITORY / ".venv/bin" / command[0]), *command[1:]], stdout=subprocess.PIPE if keep else None, text=True)
+    program = REPOSITORY / ".venv/bin" / command[0]
+    done = subprocess.run([program, *command[1:]], stdout=subprocess.PIPE if keep else None, text=True)
     if keep:
         print(done.stdout, end="", flush=True)
     if done.returncode:

@@ -140,8 +140,6 @@ class TestOtherFiles:
     def test_an_output_folder_that_does_not_exist(self, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert "nowhere" in refused(capsys, "tune", scan_file, "-o", scan_file.parent / "nowhere" / "x.hlod")
 
-    def test_an_output_that_would_overwrite_the_scan(
-        self, scan_file: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_an_output_that_would_overwrite_the_scan(self, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert "tetrahedron.off" in refused(capsys, "tune", scan_file, "-o", scan_file)
         assert scan_file.read_text() == SPHERE_OFF

@@ -85,9 +85,7 @@ def tune_command(
         cleaned = load_scan(scan, unit)
         from tuning.tune import tune
 
-        result = tune(
-            cleaned, target, held, recorded or None, levels=level_counts, seed=seed, progress=progress
-        )
+        result = tune(cleaned, target, held, recorded or None, levels=level_counts, seed=seed, progress=progress)
     for line in cleaned.report.lines():
         notes.print(line, markup=False)
     del result
@@ -100,7 +98,9 @@ def parse_levels(text: str) -> tuple[int, int]:
         least, most = int(match[1]), int(match[2] or match[1])
         if 1 <= least <= most <= MOST_LEVELS:
             return least, most
-    raise InputError("--levels", f"{text!r} is no range of level counts", f"give one number or a range within 1-{MOST_LEVELS}")
+    raise InputError(
+        "--levels", f"{text!r} is no range of level counts", f"give one number or a range within 1-{MOST_LEVELS}"
+    )
 
 
 def _check_writable(path: Path) -> None:

@@ -1,0 +1,70 @@
+"""`hapticlod inspect`: checks a bundle and says what it holds."""
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from hapticlod.config import MAPPINGS
+from tuning.tables import COLUMNS
+
+
+def inspect_command(bundle: Path, /) -> None:
+    """Check a bundle and show what it holds.
+
+    Parameters
+    ----------
+    bundle
+        The bundle to read (.hlod).
+    """
+    from hapticlod.bundle import read_bundle
+
+    held = read_bundle(bundle)
+    out = Console(highlight=False, soft_wrap=True)
+    config = held.config
+
+    def line(name: str, text: str) -> None:
+        out.print(f"{name:<10}{text}", markup=False)
+
+    line("bundle", f"{held.path}, {held.file_bytes / 1e6:.1f} MB, {len(held.sections)} sections, all digests match")
+    scan = held.manifest.get("scan")
+    if isinstance(scan, dict):
+        line("scan", f"{scan.get('name')}, {scan.get('triangles')} triangles, from {scan.get('source')}")
+    line("tool", f"{held.tool.name}, {held.tool.balls} ball{'s' if held.tool.balls > 1 else ''}")
+    line(
+        "loop",
+        f"{config['loop_hz']:g} Hz, budget {config['budget_us']:g} us, stiffness {config['stiffness_n_mm']:g} N/mm, "
+        f"at most {config['max_force_n']:g} N",
+    )
+    line(
+        "switching",
+        f"filter {config['filter_hz']:.3g} Hz, hysteresis {config['hysteresis']:.3g}, "
+        f"mapping {MAPPINGS[config['mapping']]} ({config['l_in_mm']:.3g} mm in, {config['l_out_mm']:.3g} mm out), "
+        f"blend {config['blend_s'] * 1e3:.3g} ms",
+    )
+    if held.golden_motion is not None:
+        golden = held.golden_motion
+        record = "with its record" if held.golden_record is not None else "no record"
+        line("golden", f"{golden.name}, {len(golden.time_s)} ticks, {record}")
+    out.print(_levels(held))
+    measured = held.manifest.get("measured")
+    if isinstance(measured, dict):
+        known = [c for c in COLUMNS if isinstance(measured.get(c.key), int | float)]
+        said = ", ".join(f"{' '.join(c.heading.split())} {c.text(measured)}" for c in known)
+        line("measured", said)
+    if isinstance(held.manifest.get("explanation"), str):
+        Console(highlight=False).print(held.manifest["explanation"], markup=False)
+
+
+def _levels(held: Any) -> Table:
+    table = Table()
+    for heading in ("level", "triangles", "cell mm", "balls", "MB", "up to mm/s"):
+        table.add_column(heading, justify="right")
+    speeds = [f"{speed:.1f}" for speed in held.config["speeds_mm_s"][: len(held.levels) - 1]]
+    for number, (level, speed) in enumerate(zip(held.levels, [*speeds, "any"], strict=True)):
+        balls = int(held.config["balls"][number])
+        table.add_row(
+            f"{number}", f"{level.triangles}", f"{level.cell_mm:.3f}", f"{balls}", f"{level.bytes / 1e6:.1f}", speed
+        )
+    return table
