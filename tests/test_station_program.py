@@ -131,8 +131,8 @@ def test_run_in_real_time(bundle_path: Path) -> None:
     assert result.returncode == (0 if said["fault"] == "none" else 1)
     assert said["fault"] in ("none", "overruns")
     if said["fault"] == "none":
-        assert said["ticks"] + said["skipped_ticks"] >= 1490
-        assert said["seconds"] == pytest.approx(1.5, abs=0.2)
+        assert said["ticks"] + said["skipped_ticks"] == 1500
+        assert said["seconds"] == pytest.approx(1.5, abs=0.1)
     assert said["wake_up_max_us"] > 0
     for right, phrase in ((said["fifo"], "SCHED_FIFO"), (said["memory_locked"], "memory is not locked")):
         assert right or phrase in result.stderr  # what could not be had is said, once

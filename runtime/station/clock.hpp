@@ -40,6 +40,7 @@ class Schedule {
 public:
     Schedule(std::int64_t start_ns, double period_s) : start_ns_(start_ns), period_ns_(period_s * 1e9) {}
     [[nodiscard]] std::int64_t deadline_ns() const;
+    [[nodiscard]] std::uint64_t index() const { return index_; }  // of the deadline, from 1
     // Moves on to the first deadline after `now_ns`; returns how many were left out.
     std::uint64_t advance(std::int64_t now_ns);
 

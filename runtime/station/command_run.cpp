@@ -89,9 +89,9 @@ int command_run(Words words) {
     }
     SafetyCore safety({period_s, config.budget_us, config.max_force_n, config.max_slew_n_s, traits.max_speed_mm_s,
                        traits.encoder_mm, config.engage_s});
-    const auto ticks = static_cast<std::uint64_t>(std::llround(seconds.value() * config.loop_hz));
+    const auto periods = static_cast<std::uint64_t>(std::llround(seconds.value() * config.loop_hz));
     const LoopSettings settings{period_s, config.budget_us,
-                                seconds.value() > 0.0 ? std::max<std::uint64_t>(1, ticks) : 0, config.level_count};
+                                seconds.value() > 0.0 ? std::max<std::uint64_t>(1, periods) : 0, config.level_count};
     const auto tally = std::make_unique<Tally>();
     MonotonicClock monotonic;
     VirtualClock simulated;

@@ -1,5 +1,7 @@
 #include "station/loop.hpp"
 
+#include <algorithm>
+
 #include "station/overrun.hpp"
 
 namespace hapticlod::station {
@@ -15,7 +17,7 @@ LoopOutcome run_loop(Renderer& renderer, Device& device, SafetyCore& safety, Loo
     std::int64_t last_ns = start_ns;
     TickRecord record{};
 
-    for (std::uint64_t tick = 0; settings.ticks == 0 || tick < settings.ticks; ++tick) {
+    while (settings.periods == 0 || schedule.index() <= settings.periods) {
         const std::int64_t deadline_ns = schedule.deadline_ns();
         clock.sleep_until(deadline_ns);
         if (stop.load(std::memory_order_relaxed)) break;
@@ -41,7 +43,8 @@ LoopOutcome run_loop(Renderer& renderer, Device& device, SafetyCore& safety, Loo
         device.write(wake_ns, force_n);
         tally.add(record, force_n, over_budget);
         if (safety.state() == State::safe) break;
-        tally.skipped += schedule.advance(clock.now_ns());
+        const std::uint64_t left = settings.periods == 0 ? UINT64_MAX : settings.periods - schedule.index();
+        tally.skipped += std::min(left, schedule.advance(clock.now_ns()));
     }
     const std::int64_t end_ns = clock.now_ns();
     device.write(end_ns, kZero);

@@ -14,7 +14,7 @@ namespace hapticlod::station {
 struct LoopSettings {
     double period_s;
     double budget_us;
-    std::uint64_t ticks;  // 0: until stopped
+    std::uint64_t periods;  // how long to run, ticks that were left out included; 0: until stopped
     std::uint32_t level_count;
 };
 
@@ -23,8 +23,8 @@ struct LoopOutcome {
     double elapsed_s = 0.0;
 };
 
-// Runs until the ticks are done, `stop` is set, or the safety core is SAFE; the device's last force is 0. The renderer
-// must be loaded and the safety core armed. Allocates nothing, logs nothing.
+// Runs until the periods are over, `stop` is set, or the safety core is SAFE; the device's last force is 0. The
+// renderer must be loaded and the safety core armed. Allocates nothing, logs nothing.
 LoopOutcome run_loop(Renderer& renderer, Device& device, SafetyCore& safety, LoopClock& clock,
                      const LoopSettings& settings, const std::atomic<bool>& stop, Tally& tally) noexcept;
 
