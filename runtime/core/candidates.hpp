@@ -11,6 +11,7 @@
 
 #include "core/kernels.hpp"
 #include "core/occupancy.hpp"
+#include "core/tool_tree.hpp"
 #include "core/vec.hpp"
 
 namespace hapticlod {
@@ -20,19 +21,12 @@ struct TickCounters {
     std::uint32_t errors = 0;
 };
 
-// A ball as the solver sees it: offset from the reference point in the scan's orientation, and the radius it keeps
-// (never below the skin, so that a point has an outside and an inside).
-struct SolverBall {
-    Vec3 offset;
-    double radius = 0.0;  // of the tool
-    double kept = 0.0;    // distance the centre keeps: max(radius, crack / 2) + skin
-};
-
 class Candidates {
 public:
     static constexpr std::uint32_t kMaxBlocks = 4096;  // 32768 items
 
-    void allocate(std::size_t balls);
+    // The tree must outlive this; its offsets may turn.
+    void allocate(const ToolTree& tree, std::size_t balls);
     void bind(const ActiveLevel& level, const Kernels& kernels);
 
     // Everything that a ball could touch while the reference point stays within `reach` of centre, evaluated from
@@ -60,13 +54,18 @@ public:
     // Where the evaluation was made (the solver's stamp).
     [[nodiscard]] std::uint32_t& stamp(std::uint32_t i) { return stamps_[i]; }
     // Lower bound of the tool's clearance at x, as far as the gathers know.
-    [[nodiscard]] double clearance_bound(const Vec3& x, std::size_t balls) const;
+    [[nodiscard]] double clearance_bound(const Vec3& x) const;
     [[nodiscard]] std::size_t bytes() const;
 
 private:
+    bool gather_node(std::uint32_t node, std::span<const SolverBall> balls, double reach, TickCounters& counters);
     bool gather_ball(const SolverBall& ball, std::uint32_t index, double reach, TickCounters& counters);
-    struct BallState {
-        double safe = 0.0;      // clear by this much ...
+    [[nodiscard]] double empty_within(const Vec3& centre, double inner, double outer, TickCounters& counters) const;
+    template <class Use>
+    void for_cells(const Vec3& centre, double range, TickCounters& counters, Use&& use) const;
+    // How far a ball, or all balls below a node, were from the surface.
+    struct Safe {
+        double clear = 0.0;     // clear by this much ...
         double odometer = 0.0;  // ... when the path length was this
     };
 
@@ -76,11 +75,14 @@ private:
     std::vector<EvalBlock> evaluations_;
     std::vector<double> keys_;
     std::vector<std::uint32_t> stamps_;
-    std::vector<BallState> balls_;
+    const ToolTree* tree_ = nullptr;
+    std::vector<Safe> balls_, nodes_;
     std::uint32_t block_count_ = 0, stamp_ = 0;
     Vec3 centre_;
     double reach_ = 0.0, odometer_ = 0.0;
     bool valid_ = false;
+
+    [[nodiscard]] double still_clear(const Safe& s) const { return s.clear - (odometer_ - s.odometer); }
 };
 
 }  // namespace hapticlod

@@ -158,7 +158,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
     // Far enough for about two ticks at this speed: a longer reach gathers more than it saves.
     const double slack = 2.0 * tolerances_.skin;
     const double wanted =
-        std::max(std::min(1.5 * motion_mm, 4.0 * cell_mm_) + 0.5 * mean_edge_mm_, 16.0 * tolerances_.skin);
+        std::max(std::min(3.0 * motion_mm, 4.0 * cell_mm_) + 0.15 * mean_edge_mm_, 16.0 * tolerances_.skin);
     if (candidates_.valid() && norm(x_ - candidates_.centre()) + 1.1 * motion_mm > candidates_.reach() - slack)
         candidates_.invalidate();
     Slide slide;
@@ -221,7 +221,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         for (int i = 0; i < out.active; ++i) out.planes[i].point += centre;
         return out;
     }
-    free_distance_ = planes_.count > 0 ? 0.0 : candidates_.clearance_bound(x_, balls.size());
+    free_distance_ = planes_.count > 0 ? 0.0 : candidates_.clearance_bound(x_);
     // The same planes without the skin: what the surface itself allows.
     const PlaneSolution final = nearest_feasible(planes_, hip - centre, true, 1e-3 * tolerances_.settled);
     out.scp = final.y + centre;

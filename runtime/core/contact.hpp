@@ -46,8 +46,8 @@ struct Contact {
 
 class ContactSolver {
 public:
-    void allocate(std::size_t max_balls) {
-        candidates_.allocate(max_balls);
+    void allocate(const ToolTree& tree, std::size_t balls) {
+        candidates_.allocate(tree, balls);
         touches_.resize(kMaxTouches);
     }
     void bind(const ActiveLevel& level, const Kernels& kernels, const Tolerances& tolerances);

@@ -22,6 +22,7 @@ struct Renderer::State {
     std::vector<ActiveLevel> levels;
     std::vector<Vec3> tool_centres;
     std::vector<SolverBall> balls;
+    ToolTree tree;
     Tolerances tolerances;
     double extent_mm = 0.0;
 
@@ -83,7 +84,8 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
         const double kept = std::max(b.radius_mm, 0.5 * config.crack_mm) + s.tolerances.skin;
         s.balls.push_back({centre, b.radius_mm, kept});
     }
-    s.solver.allocate(s.balls.size());
+    s.tree.build(s.tool_centres, s.balls);
+    s.solver.allocate(s.tree, s.balls.size());
     s.mapper.allocate();
     s.forget();
     return {};
@@ -118,6 +120,7 @@ void Renderer::State::turn(const double q[4]) {
         moved = std::max(moved, norm(to - balls[i].offset));
         balls[i].offset = to;
     }
+    tree.turn(q);
     std::copy(q, q + 4, orientation);
     if (moved > 0.0) solver.candidates().rotated(moved);
 }
