@@ -1,0 +1,187 @@
+"""Loop cost: what a tick costs at each level, what a switch adds, and the quantiles of the mixture.
+
+Costs of neighbouring rungs are not alike tick by tick: candidates are gathered now here, now there, in bursts. What
+moves smoothly along the ladder is their distribution in a short window, so costs are kept sorted within windows and
+interpolated as order statistics, in the logarithm. A window's few dearest ticks are kept one by one, the others as
+means of groups: the tail is exact and the arrays stay small.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import NDArray
+
+from hapticlod.surrogate.ladder_curves import LadderCurves, Position, hermite, locate, pchip_slopes, right_of
+from hapticlod.surrogate.quantile import smooth_max, smooth_quantile
+from hapticlod.surrogate.switching import Switching, affine_scan
+
+# Ticks of a window in one sample each, dearest first: 1, 1, 1, 1, 2, 4, 8, ... until the window is used up.
+SINGLE_TICKS = 4
+
+
+def group_sizes(ticks: int) -> NDArray[np.int64]:
+    """How many sorted ticks each sample of a window stands for; they sum to `ticks`."""
+    sizes, size = [], 1
+    while sum(sizes) < ticks:
+        sizes.append(min(size, ticks - sum(sizes)))
+        size = 1 if len(sizes) < SINGLE_TICKS else size * 2
+    return np.array(sizes)
+
+
+def window_samples(cost: NDArray, ticks: int) -> NDArray:
+    """Mean cost of each group of sorted ticks.
+
+    **Arguments:**
+
+    - `cost`: (..., T), T a multiple of `ticks`.
+    - `ticks`: per window.
+
+    **Returns:** (..., windows, samples).
+    """
+    sizes = group_sizes(ticks)
+    ordered = -np.sort(-cost.reshape(*cost.shape[:-1], -1, ticks), axis=-1)
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    return np.add.reduceat(ordered, starts, axis=-1) / sizes
+
+
+class CellFactors(eqx.Module):
+    """How cost changes with the cell size, relative to the cells that the ladder was replayed with.
+
+    - `log_edges`: (H,) ln of cell size in mean edges, increasing.
+    - `body`, `tail`: (R, B, H) ln factor on a rung's mean and on its dearest ticks.
+    - `body_slopes`, `tail_slopes`: PCHIP slopes along H.
+    """
+
+    log_edges: Float[Array, " H"]
+    body: Float[Array, "R B H"]
+    tail: Float[Array, "R B H"]
+    body_slopes: Float[Array, "R B H"]
+    tail_slopes: Float[Array, "R B H"]
+
+    def at(self, rung: Position, subset: Position, log_cell_edges: Float[Array, ""]) -> Float[Array, "2"]:
+        """ln factors (body, tail) of one level."""
+        place = locate(self.log_edges, log_cell_edges)
+        left, right = place.index, right_of(place, self.log_edges.shape[0])
+
+        def corner(r, b):
+            ends = [(v[r, b, left], v[r, b, right]) for v in (self.body, self.tail)]
+            slopes = [(v[r, b, left], v[r, b, right]) for v in (self.body_slopes, self.tail_slopes)]
+            return jnp.stack([hermite(*e, *s, place.fraction, place.width) for e, s in zip(ends, slopes, strict=True)])
+
+        along = [
+            (1 - rung.fraction) * corner(rung.index, b) + rung.fraction * corner(right_of(rung, self.body.shape[0]), b)
+            for b in (subset.index, right_of(subset, self.body.shape[1]))
+        ]
+        return (1 - subset.fraction) * along[0] + subset.fraction * along[1]
+
+
+def cell_factors(cell_edges: NDArray, body: NDArray, tail: NDArray) -> CellFactors:
+    """From ln factors of shape (R, B, H) at `cell_edges` (H,), increasing."""
+    log_edges = np.log(cell_edges)
+    slopes = [np.moveaxis(pchip_slopes(log_edges, np.moveaxis(v, -1, 0)), 0, -1) for v in (body, tail)]
+    return CellFactors(*map(jnp.asarray, (log_edges, body, tail, *slopes)))
+
+
+class CostModel(eqx.Module):
+    """Measured tick costs of the ladder.
+
+    - `samples`: ln ns, trailing shape (windows, samples), dearest first within a window.
+    - `tail_share`: trailing shape as `samples`: 0 where a sample belongs to its rung's body, 1 in its tail.
+    - `switch`: ln ns of ticks that change the level in contact, by the level entered, trailing shape (M,).
+    - `free_switch`: the same without contact.
+    - `cells`: dependence on cell size.
+    - `sizes`: (samples,) ticks that a sample stands for.
+    - `spread`: width, in ln cost, that smooths quantiles: what a cost varies by for no counted reason.
+    """
+
+    samples: LadderCurves
+    tail_share: LadderCurves
+    switch: LadderCurves
+    free_switch: LadderCurves
+    cells: CellFactors
+    sizes: Float[Array, " S"]
+    spread: float
+
+
+class TickCosts(eqx.Module):
+    """The mixture of tick costs of one configuration.
+
+    - `log_ns`, `weights`: (n,) samples and the number of ticks each stands for.
+    """
+
+    log_ns: Float[Array, " n"]
+    weights: Float[Array, " n"]
+
+    def quantile_us(self, probability: float, spread: float) -> Float[Array, ""]:
+        """Quantile of the loop cost, us."""
+        return jnp.exp(smooth_quantile(self.log_ns, self.weights, probability, spread)) * 1e-3
+
+    def mean_us(self) -> Float[Array, ""]:
+        """Mean loop cost, us."""
+        return jnp.sum(self.weights * jnp.exp(self.log_ns)) / jnp.sum(self.weights) * 1e-3
+
+    def share_over(self, budget_us: Float[Array, ""] | float, spread: float) -> Float[Array, ""]:
+        """Share of ticks dearer than the budget."""
+        over = jax.nn.sigmoid((self.log_ns - jnp.log(budget_us * 1e3)) / spread)
+        return jnp.sum(self.weights * over) / jnp.sum(self.weights)
+
+
+def level_samples(
+    model: CostModel, rungs: Position, subsets: Position, log_cell_edges: Float[Array, " K"]
+) -> Float[Array, "K windows samples"]:
+    """ln ns of every level's samples at its cell size."""
+    base = model.samples.levels(rungs, subsets)
+    share = jnp.clip(model.tail_share.levels(rungs, subsets), 0.0, 1.0)
+    factors = jax.vmap(model.cells.at)(rungs, subsets, log_cell_edges)[:, :, None, None]
+    return base + (1 - share) * factors[:, 0] + share * factors[:, 1]
+
+
+def tick_costs(
+    model: CostModel,
+    rungs: Position,
+    subsets: Position,
+    log_cell_edges: Float[Array, " K"],
+    switching: Switching,
+    contact: Float[Array, " bins"],
+) -> tuple[TickCosts, Float[Array, "K windows samples"], Float[Array, "K windows"]]:
+    """The mixture over levels and switches; also each level's samples and its weight in every window."""
+    log_ns = level_samples(model, rungs, subsets, log_cell_edges)
+    levels, windows = log_ns.shape[:2]
+    weights = jnp.mean(switching.weights.reshape(levels, windows, -1), axis=2)
+    shares = jnp.clip(weights, 0.0, None)[:, :, None] * model.sizes
+    # A switch's tick replaces an ordinary one; the difference of one in hundreds is left out.
+    none = jnp.zeros_like(switching.up[:1])
+    entering = jnp.concatenate([none, switching.up]) + jnp.concatenate([switching.down, none])
+    in_contact, free = jnp.sum(entering * contact, axis=1), jnp.sum(entering * (1 - contact), axis=1)
+    tail = jax.vmap(model.cells.at)(rungs, subsets, log_cell_edges)[:, 1:]
+    parts, counts = [log_ns.reshape(-1)], [shares.reshape(-1)]
+    for curve, flow in ((model.switch, in_contact), (model.free_switch, free)):
+        events = curve.levels(rungs, subsets) + tail
+        parts.append(events.reshape(-1))
+        counts.append(jnp.broadcast_to(flow[:, None] / events.shape[1], events.shape).reshape(-1))
+    return TickCosts(jnp.concatenate(parts), jnp.concatenate(counts)), log_ns, weights
+
+
+def longest_run(
+    log_ns: Float[Array, "K windows samples"],
+    weights: Float[Array, "K windows"],
+    sizes: Float[Array, " S"],
+    budget_us: Float[Array, ""] | float,
+    spread: float,
+) -> Float[Array, ""]:
+    """Longest expected run of ticks over budget.
+
+    Within a window the order of ticks is not kept; a window whose share of misses is p continues a run with weight p.
+    """
+    over = jax.nn.sigmoid((log_ns - jnp.log(budget_us * 1e3)) / spread)
+    share = jnp.sum(over * sizes, axis=2) / jnp.sum(sizes)
+    missed = jnp.clip(jnp.sum(weights * share, axis=0), 0.0, 1.0)
+    ticks = jnp.sum(sizes)
+    # One miss is a run of 1; independent misses of share p make runs of p / (1 - p), at most the whole window.
+    inside = jnp.minimum(missed * ticks, 1.0) * (1 - missed) + missed * ticks / (missed + (1 - missed) * ticks)
+    run = affine_scan(missed**ticks, inside)
+    return smooth_max(run, 0.05)

@@ -1,0 +1,145 @@
+"""The surrogate: configuration parameters -> the metrics of PERCEPTION.md section 1, differentiable.
+
+`predict` is a pure function of arrays. Names and units of its results are those of `hapticlod.metrics.measure`.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hapticlod.surrogate.cost import longest_run, tick_costs
+from hapticlod.surrogate.feel import blend_band_square, blend_square, noticed_switches, switch_events
+from hapticlod.surrogate.ladder_curves import LadderCurves, Position, locate, right_of
+from hapticlod.surrogate.measurement import LadderMeasurement
+from hapticlod.surrogate.parameters import Parameters
+from hapticlod.surrogate.quantile import smooth_max, smooth_quantile
+from hapticlod.surrogate.switching import affine_scan, filtered_speed_mm_s, soft_switching
+
+# Sigmoids are eta / SHARPNESS wide in ln speed: sharp enough to count switches to a per cent.
+SHARPNESS = 20.0
+
+Metrics = dict[str, Float[Array, ""]]
+
+
+def level_places(
+    measured: LadderMeasurement, parameters: Parameters
+) -> tuple[Position, Position, Float[Array, " K"], Float[Array, " K"]]:
+    """Where each level lies on the ladder and in the tool's subsets, its ln mean edge, its ln cell size in edges."""
+    rungs = jax.vmap(lambda x: locate(measured.coarseness, x))(measured.log_finest - parameters.log_triangles)
+    subsets = jax.vmap(lambda x: locate(measured.thinness, x))(measured.log_all_balls - parameters.log_balls)
+    finer, coarser = measured.log_edge_mm[rungs.index], measured.log_edge_mm[right_of(rungs, len(measured.log_edge_mm))]
+    log_edge = (1 - rungs.fraction) * finer + rungs.fraction * coarser
+    return rungs, subsets, log_edge, parameters.log_cell_mm - log_edge
+
+
+def memory_mb(measured: LadderMeasurement, parameters: Parameters) -> Float[Array, ""]:
+    """Resident bytes of the levels, MB."""
+    rungs, subsets, _, log_cell_edges = level_places(measured, parameters)
+    curves = measured.log_bytes.levels(rungs, jax.tree.map(jnp.zeros_like, subsets))
+    place = jax.vmap(lambda x: locate(measured.log_cell_edges, x))(log_cell_edges)
+    rows = jnp.arange(curves.shape[0])
+    left, right = curves[rows, place.index], curves[rows, right_of(place, len(measured.log_cell_edges))]
+    log_bytes = (1 - place.fraction) * left + place.fraction * right
+    return jnp.sum(parameters.used * jnp.exp(log_bytes)) / 1e6
+
+
+def predict(
+    measured: LadderMeasurement,
+    parameters: Parameters,
+    budget_us: Float[Array, ""] | float,
+    sharpness: Float[Array, ""] | float = SHARPNESS,
+) -> Metrics:
+    """All metrics of one configuration.
+
+    **Arguments:**
+
+    - `measured`: of scan, tool, motions and station.
+    - `parameters`: the configuration.
+    - `budget_us`: what a tick may cost, for the miss rate.
+    - `sharpness`: of the soft triggers; annealed upward by the optimiser.
+
+    **Returns:** scalars by PERCEPTION's keys.
+    """
+    rungs, subsets, log_edge, log_cell_edges = level_places(measured, parameters)
+    tick_s, blend_s, instants = measured.tick_s, parameters.blend_s, measured.instants
+    speed = filtered_speed_mm_s(measured.velocity_mm_s, measured.starts, parameters.filter_hz, tick_s)
+    switching = soft_switching(
+        speed, measured.starts, parameters.reachable_log_speeds, parameters.hysteresis, sharpness, measured.dwell_bins
+    )
+    weights = switching.weights
+    ticks_per_bin = measured.ticks // measured.bins
+    bins_per_instant = measured.bins // instants.contact.shape[0]
+    per_instant = ticks_per_bin * bins_per_instant
+
+    def levels(curves: LadderCurves) -> Float[Array, "K n"]:
+        return curves.levels(rungs, subsets)
+
+    def mixed(curves: LadderCurves) -> Float[Array, " n"]:
+        return jnp.sum(weights * levels(curves), axis=0)
+
+    def total(per_bin: Float[Array, " n"]) -> Float[Array, ""]:
+        return jnp.sum(per_bin) * ticks_per_bin
+
+    def grouped(x: Float[Array, "*s n"]) -> Float[Array, "*s I"]:
+        return x.reshape(*x.shape[:-1], -1, bins_per_instant).sum(axis=-1)
+
+    events = switch_events(
+        instants, parameters, rungs, subsets, jnp.exp(log_edge), grouped(switching.up), grouped(switching.down),
+        measured.stiffness_n_mm, tick_s,
+    )  # fmt: skip
+    flow = jnp.sum(events.flow)
+    # A lost contact stays lost until the reference, too, leaves the surface.
+    losing = jnp.clip(jnp.sum(events.flow * events.lost, axis=0), 0.0, 1.0)
+    stays = jnp.where(instants.starts, 0.0, jnp.minimum(2 * instants.contact, 1.0))
+    lost = affine_scan(stays * (1 - losing), losing)
+
+    feel, hand_mm_s = measured.feel, grouped(speed) / bins_per_instant
+    felt_mix, force_mix = mixed(feel.felt), mixed(feel.force_sq)
+    either = jnp.maximum(total(mixed(feel.either)), 1.0)
+    both = jnp.maximum(total(mixed(feel.both)), 1.0)
+    felt = total(felt_mix) + blend_square(events, instants.felt_per_n2, hand_mm_s, blend_s, tick_s)
+    felt += per_instant * jnp.sum(lost * (instants.lost_felt - grouped(felt_mix) / bins_per_instant))
+    force = total(force_mix) + blend_square(events, 1.0, hand_mm_s, blend_s, tick_s)
+    force += per_instant * jnp.sum(lost * (instants.lost_force_sq - grouped(force_mix) / bins_per_instant))
+    band = total(mixed(feel.band_sq)) + blend_band_square(events, blend_s, measured.perception, tick_s)
+
+    in_contact = jnp.repeat(instants.contact, bins_per_instant)
+    costs, samples, windows = tick_costs(measured.cost, rungs, subsets, log_cell_edges, switching, in_contact)
+    spread = measured.cost.spread
+    shares = jnp.clip(weights, 0.0, None)
+    peaks, depths = levels(feel.peak_n).reshape(-1), levels(feel.depth_mm).reshape(-1)
+    erring = (shares * jnp.clip(levels(feel.either), 0.0, 1.0)).reshape(-1)
+    touching = (shares * jnp.clip(levels(feel.contact), 0.0, 1.0)).reshape(-1)
+    jumps, flows = events.jump_n.reshape(-1), events.flow.reshape(-1)
+    # Nothing to switch between: a jump of 0, and every mapping that was not tried found the surface.
+    switched, some = jnp.maximum(flow, 1e-6), flow / (flow + 1e-3)
+    work = jax.ops.segment_sum(mixed(feel.work_mj) * ticks_per_bin, measured.cycle, measured.cycles)[1:]
+    peak_width, jump_width = 0.02 * jnp.max(peaks) + 1e-4, 0.005
+
+    return {
+        "loop_cost_mean_us": costs.mean_us(),
+        "loop_cost_p50_us": costs.quantile_us(0.5, spread),
+        "loop_cost_p99_us": costs.quantile_us(0.99, spread),
+        "loop_cost_p999_us": costs.quantile_us(0.999, spread),
+        "loop_cost_max_us": costs.quantile_us(1 - 0.5 / measured.ticks, spread),
+        "deadline_miss_rate": costs.share_over(budget_us, spread),
+        "longest_miss_run": longest_run(samples, windows, measured.cost.sizes, budget_us, spread),
+        "force_error_rms_n": jnp.sqrt(jnp.maximum(force, 0.0) / either + 1e-14),
+        "force_error_p99_n": smooth_quantile(peaks, erring, 0.99, peak_width),
+        "force_error_max_n": smooth_quantile(peaks, erring, 1 - 0.5 / measured.bins, peak_width),
+        "felt_error_jnd": jnp.sqrt(jnp.maximum(felt, 0.0) / either + 1e-14),
+        "switch_jump_p50_n": some * smooth_quantile(jumps, flows, 0.5, jump_width),
+        "switch_jump_p99_n": some * smooth_quantile(jumps, flows, 0.99, jump_width),
+        "switch_jump_max_n": some * smooth_quantile(jumps, flows, 1 - 0.5 / jnp.maximum(switched, 1.0), jump_width),
+        "discontinuity_per_s": noticed_switches(events, instants, measured.perception) / (either * tick_s),
+        "facet_vibration_n": jnp.sqrt(jnp.maximum(band, 0.0) / both + 1e-14),
+        "switches_per_s": switching.switches / measured.seconds,
+        "mapping_hit_rate": 1 - jnp.sum(events.flow * events.lost) / switched,
+        "false_release_per_min": (total(mixed(feel.release)) + jnp.sum(losing)) * 60 / measured.seconds,
+        "pop_through_per_min": total(mixed(feel.pop)) * 60 / measured.seconds,
+        "penetration_p99_mm": smooth_quantile(depths, touching, 0.99, 0.01 * jnp.max(depths) + 1e-6),
+        "energy_out_mj": smooth_max(work, 0.02) if measured.cycles > 1 else jnp.zeros_like(flow),
+        "memory_mb": memory_mb(measured, parameters),
+    }

@@ -1,0 +1,164 @@
+"""Replays -> the arrays that the surrogate is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from hapticlod.surrogate.cost import CostModel, cell_factors, group_sizes, window_samples
+from hapticlod.surrogate.ladder_curves import LadderCurves, ladder_curves
+from hapticlod.surrogate.measurement import Feel, Instants, LadderMeasurement
+from tuning.grid import Clock, Grid
+from tuning.level_fields import WINDOWS_S, Reference
+from tuning.replays import Tour
+
+Array = NDArray[np.float64]
+
+# Quantiles of a switch's cost that stand for its distribution.
+_SWITCH_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
+_TAIL_SHARE = 0.02
+_LEAST_SPREAD = 0.02
+
+
+@dataclass(frozen=True)
+class LadderData:
+    """Everything that replays gave, in numpy; what is cached between runs.
+
+    Attributes:
+        grid, clock: where and when.
+        fields: by name (R, B, ...), of `tuning.level_fields.level_fields`.
+        cost_ns: (R, B, T) of a tick, on the station, interrupts taken out.
+        reference: of the finest level.
+        tour: of switches.
+        cell_rungs: rungs whose other cell sizes were sampled.
+        cell_cost: (S, B, H, 2) mean cost, and mean cost of the dearest ticks, by cell size, at these rungs.
+        level_bytes: (R,) with the replays' cells; cell_bytes: (S, H).
+    """
+
+    grid: Grid
+    clock: Clock
+    fields: dict[str, Array]
+    cost_ns: Array
+    reference: Reference
+    tour: Tour
+    cell_rungs: tuple[int, ...]
+    cell_cost: Array
+    level_bytes: Array
+    cell_bytes: Array
+
+
+def dearest_mean(cost: Array) -> tuple[float, float]:
+    """Mean cost, and mean cost of the dearest fiftieth of the ticks."""
+    count = max(1, round(_TAIL_SHARE * len(cost)))
+    return float(cost.mean()), float(np.partition(cost, -count)[-count:].mean())
+
+
+def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderMeasurement:
+    """The surrogate's arrays. Lays no file, starts no replay."""
+    grid, clock, reference = data.grid, data.clock, data.reference
+    coarseness = np.log(grid.triangles[0] / np.array(grid.triangles, dtype=np.float64))
+    thinness = np.log(grid.balls[0] / np.array(grid.balls, dtype=np.float64))
+
+    def curves(values: Array) -> LadderCurves:
+        return ladder_curves(coarseness, thinness, values)
+
+    feel = Feel(**{name: curves(data.fields[name]) for name in Feel.__dataclass_fields__})
+    cycle = clock.binned(reference.cycle)[:, -1]
+    tick_s = 1.0 / clock.loop_hz
+    log_bytes = np.log(data.level_bytes)[:, None, None] + _cell_bytes(data)[:, None, :]
+    return LadderMeasurement(
+        coarseness=jnp.asarray(coarseness),
+        thinness=jnp.asarray(thinness),
+        log_finest=jnp.asarray(np.log(float(grid.triangles[0]))),
+        log_all_balls=jnp.asarray(np.log(float(grid.balls[0]))),
+        log_edge_mm=jnp.asarray(np.log(np.array(grid.edge_mm))),
+        velocity_mm_s=jnp.asarray(reference.velocity_mm_s),
+        starts=jnp.asarray(clock.marks(clock.ticks_per_bin)),
+        cycle=jnp.asarray(cycle),
+        feel=feel,
+        instants=_instants(data, stiffness_n_mm),
+        cost=_cost_model(data, curves),
+        log_bytes=ladder_curves(coarseness, np.zeros(1), log_bytes),
+        log_cell_edges=jnp.asarray(np.log(np.array(grid.cell_edges))),
+        stiffness_n_mm=jnp.asarray(stiffness_n_mm),
+        cycles=int(reference.cycle.max(initial=0)) + 1,
+        tick_s=tick_s,
+        dwell_bins=round(dwell_s / (tick_s * clock.ticks_per_bin)),
+        perception=reference.perception,
+    )
+
+
+def _instants(data: LadderData, stiffness_n_mm: float) -> Instants:
+    clock, reference = data.clock, data.reference
+    per = clock.ticks_per_instant
+    at = np.arange(per - 1, clock.ticks, per)
+
+    def mean(values: Array) -> Array:
+        return values.reshape(-1, per).mean(axis=1)
+
+    force_sq = np.einsum("ij,ij->i", reference.force_n, reference.force_n) * reference.contact
+    return Instants(
+        offset_n=jnp.asarray(data.tour.offset_n),
+        rough_n=jnp.asarray(data.fields["rough_n"]),
+        log_windows=jnp.asarray(np.log1p(np.round(np.array(WINDOWS_S) * clock.loop_hz))),
+        force_n=jnp.asarray(reference.force_n[at]),
+        step_n=jnp.asarray(reference.step_n[at]),
+        contact=jnp.asarray(mean(reference.contact.astype(np.float64))),
+        starts=jnp.asarray(clock.marks(per)),
+        lost_felt=jnp.asarray(mean(force_sq * reference.felt_per_n2)),
+        lost_force_sq=jnp.asarray(mean(force_sq)),
+        felt_per_n2=jnp.asarray(mean(reference.felt_per_n2)),
+    )
+
+
+def _cost_model(data: LadderData, curves) -> CostModel:
+    clock = data.clock
+    window = clock.ticks_per_bin * clock.bins_per_window
+    samples = np.log(np.maximum(window_samples(data.cost_ns, window), 1.0))
+    # A sample belongs to its level's tail where it is dearer than all but a fiftieth of the level's ticks.
+    body, tail = (np.quantile(samples, q, axis=(2, 3), keepdims=True) for q in (0.8, 0.99))
+    share = np.clip((samples - body) / np.maximum(tail - body, 1e-3), 0.0, 1.0)
+    cost = np.maximum(data.cell_cost, 1.0)
+    factors = np.log(cost / cost[:, :, data.grid.base_cell : data.grid.base_cell + 1])
+    factors = np.stack([_along_rungs(data, factors[..., k]) for k in range(2)])
+    touching = data.tour.touching
+    return CostModel(
+        samples=curves(samples),
+        tail_share=curves(share),
+        switch=curves(_switch_cost(data.tour.cost_ns, touching)),
+        free_switch=curves(_switch_cost(data.tour.cost_ns, ~touching)),
+        cells=cell_factors(np.array(data.grid.cell_edges), factors[0], factors[1]),
+        sizes=jnp.asarray(group_sizes(window), dtype=samples.dtype),
+        spread=_LEAST_SPREAD,
+    )
+
+
+def _switch_cost(cost_ns: Array, chosen: NDArray[np.bool_]) -> Array:
+    """ln ns (R, B, M) of the chosen instants; of all where none is."""
+    some = cost_ns[:, :, chosen] if chosen.any() else cost_ns
+    return np.moveaxis(np.log(np.maximum(np.quantile(some, _SWITCH_QUANTILES, axis=2), 1.0)), 0, -1)
+
+
+def _along_rungs(data: LadderData, values: Array) -> Array:
+    """(S, ...) at the sampled rungs -> (R, ...) at all, linear in coarseness."""
+    coarseness = -np.log(np.array(data.grid.triangles, dtype=np.float64))
+    known = coarseness[list(data.cell_rungs)]
+    flat = values.reshape(len(known), -1)
+    out = np.stack([np.interp(coarseness, known, column) for column in flat.T], axis=1)
+    return out.reshape(len(coarseness), *values.shape[1:])
+
+
+def _cell_bytes(data: LadderData) -> Array:
+    """(R, H) ln of bytes relative to the replays' cells."""
+    base = data.cell_bytes[:, data.grid.base_cell : data.grid.base_cell + 1]
+    return _along_rungs(data, np.log(data.cell_bytes / base))
+
+
+def cell_rungs(grid: Grid, most_triangles: int = 300_000) -> Sequence[int]:
+    """Rungs whose other cell sizes are sampled: every third that is not too large to build five times."""
+    small = [r for r, count in enumerate(grid.triangles) if count <= most_triangles] or [len(grid.triangles) - 1]
+    return small[::3]

@@ -1,0 +1,117 @@
+"""Station cost coefficients from timed replays: nanoseconds per counted thing, robustly.
+
+A tick's time is its counters times coefficients that are not negative, plus what nobody counts: cache misses, branch
+mispredictions, and interrupts. Relative errors are fitted by iteratively reweighted non-negative least squares, with
+weights that ignore outliers (Geman-McClure); what is left is reported as the tail. Levels too big for the caches cost
+more per count: the gain over small levels is fitted from the residuals. It stays a model: on levels much larger than
+those measured the gain is an extrapolation.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from hapticlod.station import CostCoefficients
+
+Array = NDArray[np.float64]
+
+COUNTERS = ("cells", "triangles", "tests", "iterations", "balls", "mapping_cells")
+_ROUNDS = 12
+_SCALE = 0.5  # relative error beyond which a tick counts little
+_FLOOR_NS = 200.0  # below this a tick's time is mostly the clock's
+_MOST_TICKS = 60_000
+_CACHE_MB = 32.0
+
+
+def calibrate(records: Sequence[NDArray], level_bytes: Sequence[int], seed: int = 0) -> CostCoefficients:
+    """Coefficients of this machine.
+
+    Args:
+        records: rows of RECORD_DTYPE of fixed-level replays, timed; the wider the range of counters, the better.
+        level_bytes: of the level of each record.
+        seed: of the ticks that are drawn where there are more than some ten thousands.
+    """
+    counters, cost, size = _gather(records, level_bytes, seed)
+    features = np.column_stack([np.ones(len(cost)), counters])
+    scale = np.maximum(np.abs(features).max(axis=0), 1.0)
+    weight = 1.0 / np.maximum(cost, _FLOOR_NS)
+    coefficients = np.zeros(features.shape[1])
+    factor = np.ones(len(cost))
+    gain = 0.0
+    for _ in range(_ROUNDS):
+        # the base does not depend on the level's size, everything counted does
+        design = np.column_stack([features[:, :1], features[:, 1:] * factor[:, None]])
+        solution, _ = nnls((design / scale) * weight[:, None], cost * weight)
+        coefficients = solution / scale
+        fitted = np.maximum(design @ coefficients, 1.0)
+        error = (cost - fitted) / np.maximum(fitted, _FLOOR_NS)
+        weight = 1.0 / (np.maximum(fitted, _FLOOR_NS) * (1.0 + (error / _SCALE) ** 2))
+        gain = _cache_gain(features[:, 1:] @ coefficients[1:], cost - coefficients[0], size, weight)
+        factor = 1.0 + gain * size / (size + _CACHE_MB)
+    ratio = cost / np.maximum(np.column_stack([features[:, :1], features[:, 1:] * factor[:, None]]) @ coefficients, 1.0)
+    ratio /= np.median(ratio)
+    values = dict(zip(("base_ns", *(f"{name[:-1]}_ns" for name in COUNTERS)), map(float, coefficients), strict=True))
+    return CostCoefficients(
+        **values,
+        cache_mb=_CACHE_MB,
+        cache_gain=gain,
+        tail_p99=max(1.0, float(np.quantile(ratio, 0.99))),
+        tail_p999=max(1.0, float(np.quantile(ratio, 0.999))),
+        measured_on=f"{_processor()}, {len(cost)} ticks",
+    )
+
+
+def _gather(records: Sequence[NDArray], level_bytes: Sequence[int], seed: int) -> tuple[Array, Array, Array]:
+    """Counters (n, 6), cost ns (n,), level size MB (n,) of ticks drawn evenly from all records."""
+    rng = np.random.default_rng(seed)
+    share = max(1, _MOST_TICKS // max(len(records), 1))
+    counters, cost, size = [], [], []
+    for rows, count in zip(records, level_bytes, strict=True):
+        drawn = rows if len(rows) <= share else rows[rng.choice(len(rows), share, replace=False)]
+        counters.append(np.column_stack([drawn[name].astype(np.float64) for name in COUNTERS]))
+        cost.append(drawn["cost_ns"].astype(np.float64))
+        size.append(np.full(len(drawn), count / 1e6))
+    return np.concatenate(counters), np.concatenate(cost), np.concatenate(size)
+
+
+def _cache_gain(work: Array, cost: Array, size_mb: Array, weight: Array) -> float:
+    """Least-squares g >= 0 of cost = work (1 + g s / (s + cache_mb))."""
+    slope = work * size_mb / (size_mb + _CACHE_MB) * weight
+    total = float(slope @ slope)
+    return max(0.0, float(slope @ ((cost - work) * weight)) / total) if total > 0 else 0.0
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def counted_cost_ns(rows: NDArray, level_bytes: int | Array, coefficients: CostCoefficients) -> Array:
+    """(T,) cost of ticks by their counters alone."""
+    counters = {name: rows[name].astype(np.float64) for name in COUNTERS}
+    return np.asarray(coefficients.tick_cost_ns(**counters, level_bytes=level_bytes))
+
+
+def without_interrupts(rows: NDArray, counted_ns: Array) -> Array:
+    """(T,) measured cost, ns, without the excess of ticks that were interrupted.
+
+    A tick whose measured over counted cost lies far outside what its record's other ticks show did not do more work:
+    the operating system did. What is far is taken from the record itself, so that a cost that nobody counts but many
+    ticks pay is kept.
+    """
+    cost = rows["cost_ns"].astype(np.float64)
+    log = np.log(np.maximum(cost, 1.0) / np.maximum(counted_ns, 1.0))
+    middle, high = np.quantile(log, (0.5, 0.95))
+    limit = middle + 3.0 * max(high - middle, 0.1)
+    return cost * np.exp(np.minimum(0.0, limit - log))

@@ -1,0 +1,155 @@
+"""Samples a ladder in the runtime: replays, tours and cell sizes, and the cost coefficients that follow from them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapticlod.motion import Motion
+from hapticlod.perception import Perception
+from hapticlod.station import CostCoefficients, Station
+from tuning.assemble import LadderData, cell_rungs, dearest_mean
+from tuning.calibrate import calibrate, counted_cost_ns, without_interrupts
+from tuning.grid import Clock
+from tuning.level_fields import Reference, level_fields, make_reference
+from tuning.replays import Bench, replay_fixed, tour_ladder
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+# Ticks per motion on which other cell sizes are timed.
+_CELL_TICKS = 600
+
+
+def threads() -> int:
+    """Replays that run at once."""
+    return max(1, len(os.sched_getaffinity(0)))
+
+
+@dataclass(frozen=True)
+class Costing:
+    """How this machine's time becomes the station's.
+
+    `here` are this machine's coefficients. A station with coefficients of its own is taken to do the same counted
+    work at its own prices; what nobody counts is taken to cost in proportion. `slowdown` multiplies everything.
+    """
+
+    here: CostCoefficients
+    station: Station
+
+    def cost_ns(self, rows: NDArray, level_bytes: int | Array) -> Array:
+        """(T,) cost on the station, interrupts taken out."""
+        counted = counted_cost_ns(rows, level_bytes, self.here)
+        cost = without_interrupts(rows, counted) * self.station.slowdown
+        if self.station.cost is None:
+            return cost
+        return cost * counted_cost_ns(rows, level_bytes, self.station.cost) / np.maximum(counted, 1.0)
+
+
+def sample_ladder(
+    bench: Bench,
+    motions: Sequence[Motion],
+    clock: Clock,
+    perception: Perception,
+    l_mm: float,
+    repeats: int,
+    progress: Progress,
+) -> tuple[LadderData, Costing]:
+    """Replays everything. Motions are at the clock's rate and at least as long."""
+    grid, station = bench.grid, bench.station
+    rungs, subsets = grid.shape
+    cut = [clock.cut(motion, i) for i, motion in enumerate(motions)]
+    with ThreadPoolExecutor(threads()) as pool:
+        levels = list(pool.map(bench.level, range(rungs)))
+    level_bytes = np.array([level.bytes for level in levels], dtype=np.float64)
+
+    progress("replay the ladder", 0.0)
+    first = replay_fixed(bench, levels[0], 0, grid.balls[0], cut, repeats)
+    reference = make_reference(first, clock.loop_hz, perception)
+
+    def one(place: tuple[int, int]) -> tuple[dict[str, Array], NDArray]:
+        r, b = place
+        rows = first if place == (0, 0) else replay_fixed(bench, levels[r], r, grid.balls[b], cut, repeats)
+        return level_fields(rows, reference, clock), np.concatenate(rows)
+
+    places = [(r, b) for b in range(subsets) for r in range(rungs)]
+    fields: dict[str, Array] = {}
+    kept: dict[tuple[int, int], NDArray] = {}
+    with ThreadPoolExecutor(threads()) as pool:
+        for count, (place, (made, rows)) in enumerate(zip(places, pool.map(one, places), strict=True), 1):
+            for name, values in made.items():
+                fields.setdefault(name, np.zeros((*grid.shape, *values.shape)))[place] = values
+            kept[place] = _counters_only(rows)
+            progress("replay the ladder", count / len(places))
+
+    here = calibrate(list(kept.values()), [int(level_bytes[r]) for r, _ in kept])
+    costing = Costing(here, station)
+    cost = np.zeros((*grid.shape, clock.ticks))
+    for (r, b), rows in kept.items():
+        cost[r, b] = costing.cost_ns(rows, int(level_bytes[r]))
+
+    progress("switch between levels", 0.0)
+    tour = tour_ladder(bench, levels, cut, clock, l_mm, threads(), lambda done: progress("switch between levels", done))
+    scale = station.slowdown * _price_ratio(costing, kept)
+    object.__setattr__(tour, "cost_ns", tour.cost_ns * scale)
+
+    chosen = tuple(cell_rungs(grid))
+    swept = _sweep_cells(bench, levels, chosen, cut, costing, progress)
+    data = LadderData(
+        grid=grid, clock=clock, fields=fields, cost_ns=cost, reference=reference, tour=tour, cell_rungs=chosen,
+        cell_cost=swept[0], level_bytes=level_bytes, cell_bytes=swept[1],
+    )  # fmt: skip
+    return data, costing
+
+
+def _counters_only(rows: NDArray) -> NDArray:
+    names = ["cost_ns", "cells", "triangles", "tests", "iterations", "balls", "mapping_cells"]
+    out = np.zeros(len(rows), dtype=[(name, rows.dtype[name]) for name in names])
+    for name in names:
+        out[name] = rows[name]
+    return out
+
+
+def _price_ratio(costing: Costing, kept: dict[tuple[int, int], NDArray]) -> float:
+    """What the station's counted cost is of this machine's, over all replays."""
+    if costing.station.cost is None:
+        return 1.0
+    there = sum(float(counted_cost_ns(rows, 0, costing.station.cost).sum()) for rows in kept.values())
+    here = sum(float(counted_cost_ns(rows, 0, costing.here).sum()) for rows in kept.values())
+    return there / max(here, 1.0)
+
+
+def _sweep_cells(
+    bench: Bench,
+    levels: Sequence,
+    chosen: Sequence[int],
+    motions: Sequence[Motion],
+    costing: Costing,
+    progress: Progress,
+) -> tuple[Array, Array]:
+    """Cost (S, B, H, 2) and bytes (S, H) of other cell sizes, on the first part of every motion."""
+    grid = bench.grid
+    parts = [motion.part(0.0, _CELL_TICKS / motion.loop_hz) for motion in motions]
+    cost = np.zeros((len(chosen), len(grid.balls), len(grid.cell_edges), 2))
+    size = np.zeros((len(chosen), len(grid.cell_edges)))
+
+    def one(task: tuple[int, int]) -> None:
+        s, h = task
+        rung = chosen[s]
+        level = levels[rung] if h == grid.base_cell else bench.level(rung, h)
+        size[s, h] = level.bytes
+        for b, balls in enumerate(grid.balls):
+            rows = np.concatenate(replay_fixed(bench, level, rung, balls, parts, 2, h))
+            cost[s, b, h] = dearest_mean(costing.cost_ns(rows, level.bytes))
+
+    tasks = [(s, h) for s in range(len(chosen)) for h in range(len(grid.cell_edges))]
+    progress("try cell sizes", 0.0)
+    with ThreadPoolExecutor(threads()) as pool:
+        for count, _ in enumerate(pool.map(one, tasks), 1):
+            progress("try cell sizes", count / len(tasks))
+    return cost, size
