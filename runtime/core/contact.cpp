@@ -194,9 +194,12 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
             break;
         }
         if (solution.active > 0) {
-            const double stretch = slide.stretch(step, length);
-            step = step * stretch;
-            length *= stretch;
+            // Stretched, then back behind no plane: the sweep spares what the planes separate.
+            if (const double stretch = slide.stretch(step, length); stretch > 1.0) {
+                const PlaneSolution far =
+                    nearest_feasible(planes_, local_ + step * stretch, false, 1e-3 * tolerances_.settled);
+                if (far.feasible) step = far.y - local_, length = norm(step);
+            }
         }
         // Clip to the ball the candidates are complete for: |local + t step| = limit.
         const double limit = candidates_.reach() - slack;
