@@ -144,7 +144,7 @@ double ContactSolver::sweep(const Vec3& step, std::span<const SolverBall> balls,
             if (separated(t, kept)) continue;
             const double reach = std::min(first, 1.0);
             const double at =
-                time_of_touch(t, local_, step * reach, kept - 0.5 * tolerances_.skin, 0.05 * tolerances_.skin);
+                time_of_touch(t, local_, step * reach, kept - 0.1 * tolerances_.skin, 0.02 * tolerances_.skin);
             if (at <= 1.0) first = at * reach;
         }
     }
@@ -162,6 +162,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
     if (candidates_.valid() && norm(x_ - candidates_.centre()) + 1.1 * motion_mm > candidates_.reach() - slack)
         candidates_.invalidate();
     Slide slide;
+    Vec3 last = x_, before_last = x_;
     for (int k = 0; k < kMaxIterations; ++k) {
         ++counters.iterations;
         ++stamp_;
@@ -170,6 +171,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
             const double granted = candidates_.gather(x_, wanted, balls, counters, stamp_);
             if (granted < wanted) counters.errors |= kErrCandidates;
             path_ = 0.0;
+            out.active = 0;  // planes of the last step are in the old frame
             if (granted <= 2.0 * slack) {
                 counters.errors |= kErrNotConverged;
                 out.scp = x_;
@@ -180,6 +182,12 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         const Vec3 centre = candidates_.centre();
         local_ = x_ - centre;
         collect_touching(balls, counters);
+        // Two faces of a shallow crease can send the point to and fro: then both count at once.
+        if (k >= 2 && norm2(x_ - before_last) < 0.25 * norm2(x_ - last))
+            for (int i = 0; i < out.active && planes_.count < kMaxPlanes; ++i)
+                planes_.planes[planes_.count++] = out.planes[i];
+        before_last = last;
+        last = x_;
         const PlaneSolution solution = nearest_feasible(planes_, hip - centre, false, 1e-3 * tolerances_.settled);
         Vec3 step = solution.y - local_;
         double length = norm(step);
