@@ -1,5 +1,6 @@
 """A small bundle for the bundle and station tests: a wavy plate in two levels, a tool of three balls, 1 kHz."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -81,7 +82,9 @@ def rendered(levels: list[Any], config: Any, tool: Tool, motion: Motion) -> np.n
 
 
 def station_program() -> Path:
-    """The built hapticlod-station: beside this Python, else in the build tree. Skips where there is none."""
+    """The built hapticlod-station: $HAPTICLOD_STATION, beside this Python, or in the build tree. Skips without one."""
+    if chosen := os.environ.get("HAPTICLOD_STATION"):
+        return Path(chosen)
     for folder in (Path(sys.executable).parent, Path(__file__).resolve().parent.parent / "build" / "release"):
         if (folder / "hapticlod-station").is_file():
             return folder / "hapticlod-station"

@@ -234,27 +234,32 @@ def test_unknown_sections_and_versions(bundle_path: Path) -> None:
     assert "section type 77: is needed" in refusal(bundle_path, unknown)
 
 
-def test_both_readers_judge_sealed_wrong_content_alike(bundle_path: Path) -> None:
+def test_both_readers_judge_sealed_wrong_content_alike(parts: dict[str, Any], bundle_path: Path) -> None:
     """Digests are right, one byte of the content is not: nobody's accident, but somebody's attempt."""
+    write_bundle(bundle_path, **{**parts, "golden_motion": None, "golden_record": None})
     sections = sections_of(bundle_path)
     rng = np.random.default_rng(3)
+    flips = [
+        (kind, level, int(rng.integers(len(data))), int(rng.integers(1, 256))) for kind, level, data in sections * 3
+    ]
+    # Every word of the two records that steer everything: its sign, exponent or top bits.
+    for kind, length in ((SectionType.CONFIG, 440), (SectionType.HASH, 104)):
+        flips += [(kind, 0, place, 0xFF) for place in range(3, length, 4)]
     verdicts = []
-    for kind, level, data in sections:
-        for _ in range(4):
-            place, bits = int(rng.integers(len(data))), int(rng.integers(1, 256))
+    for kind, level, place, bits in flips:
 
-            def flip(content: bytearray, place: int = place, bits: int = bits) -> None:
-                content[place] ^= bits
+        def flip(content: bytearray, place: int = place, bits: int = bits) -> None:
+            content[place] ^= bits
 
-            bundle_path.write_bytes(container(changed(sections, kind, level, flip)))
-            try:
-                read_bundle(bundle_path)
-                taken = True
-            except InputError:
-                taken = False
-            result = run_station("inspect", bundle_path)
-            assert result.returncode == (0 if taken else 2), (SectionType(kind).name, place, bits, result.stderr)
-            verdicts.append(taken)
+        bundle_path.write_bytes(container(changed(sections, kind, level, flip)))
+        try:
+            read_bundle(bundle_path)
+            taken = True
+        except InputError:
+            taken = False
+        result = run_station("inspect", bundle_path)
+        assert result.returncode == (0 if taken else 2), (SectionType(kind).name, place, bits, result.stderr)
+        verdicts.append(taken)
     assert 10 < sum(verdicts) < len(verdicts) - 10
 
 
@@ -281,6 +286,11 @@ def test_parts_that_do_not_fit_are_not_written(parts: dict[str, Any], tmp_path: 
         write_bundle(path, **{**parts, "manifest": {"felt_error_jnd": float("nan")}})
     with pytest.raises(TypeError, match="object"):
         write_bundle(path, **{**parts, "manifest": {"what": object()}})
+    nested: list[Any] = []
+    for _ in range(64):
+        nested = [nested]
+    with pytest.raises(ValueError, match="nested deeper"):
+        write_bundle(path, **{**parts, "manifest": {"nested": nested}})
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(InputError, match="cannot be written"):
         write_bundle(tmp_path / "no" / "folder.hlod", **parts)
@@ -291,6 +301,20 @@ def test_manifest_takes_numpy_and_paths(parts: dict[str, Any], tmp_path: Path) -
     manifest = {"rms_mm": np.float64(0.5), "counts": np.arange(3), "source": Path("a/b.stl"), "felt": np.float32(1.5)}
     write_bundle(path, **{**parts, "manifest": manifest})
     assert read_bundle(path).manifest == {"rms_mm": 0.5, "counts": [0, 1, 2], "source": "a/b.stl", "felt": 1.5}
+
+
+def test_manifest_depth_is_judged_alike(bundle_path: Path) -> None:
+    for inner, fine in ((63, True), (64, False)):
+        text = b'{"a":' + b"[" * inner + b"]" * inner + b"}"
+        sections = [(k, at, text if k == SectionType.MANIFEST else data) for k, at, data in sections_of(bundle_path)]
+        file = container(sections)
+        if fine:
+            bundle_path.write_bytes(file)
+            read_bundle(bundle_path)
+            assert run_station("inspect", bundle_path).returncode == 0
+        else:
+            assert "JSON object" in refusal(bundle_path, file)
+            assert "JSON object" in run_station("inspect", bundle_path).stderr
 
 
 def test_a_bundle_may_go_without_golden_sections(parts: dict[str, Any], tmp_path: Path) -> None:

@@ -139,6 +139,8 @@ def level_fault(arrays: dict[str, np.ndarray]) -> str:
 
 
 def _header_fault(head: Any) -> str:
+    if head["reserved"].any():
+        return "a reserved field of its hash is not 0"
     low, high = head["bbox_min"], head["bbox_max"]
     if not (np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()):
         return "the bounding box is not valid"
@@ -146,7 +148,9 @@ def _header_fault(head: Any) -> str:
     if not (bricks & (head["brick_max"] < 1 << 20)).all():
         return "the brick bounds are not valid"
     edges = np.array([head["mean_edge_mm"], head["max_edge_mm"]])
-    return "" if (np.isfinite(edges) & (edges >= 0)).all() else "an edge length is not valid"
+    if not (np.isfinite(edges) & (edges >= 0)).all():
+        return "an edge length is not valid"
+    return "" if 0 <= float(head["loose_mm"]) <= head["cell_mm"] else "the cells' overhang is not valid"
 
 
 def _bricks_fault(head: Any, bricks: np.ndarray, cells: np.ndarray) -> str:

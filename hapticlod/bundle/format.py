@@ -13,6 +13,7 @@ VERSION: Final = 1
 ALIGNMENT: Final = 64
 MAX_SECTIONS: Final = 256
 MAX_MANIFEST_BYTES: Final = 16 << 20
+MAX_MANIFEST_DEPTH: Final = 64
 SECTION_VERSION: Final = 1
 OPTIONAL: Final = 1
 
@@ -100,3 +101,12 @@ def aligned(offset: int) -> int:
 def digest(data: Any) -> bytes:
     """BLAKE2b-256 of a buffer."""
     return hashlib.blake2b(data, digest_size=32).digest()
+
+
+def depth(value: Any) -> int:
+    """How deep JSON is nested: 0 for a number, 1 for a flat list or object."""
+    deepest, wholes = 0, [value]
+    while wholes := [whole for whole in wholes if isinstance(whole, dict | list)]:
+        deepest += 1
+        wholes = [part for whole in wholes for part in (whole.values() if isinstance(whole, dict) else whole)]
+    return deepest

@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 
 from hapticlod.bundle import content
-from hapticlod.bundle.format import ACCELERATION, ELEMENT, LEVEL_SECTIONS, MAX_MANIFEST_BYTES, SectionType
+from hapticlod.bundle.format import (
+    ACCELERATION,
+    ELEMENT,
+    LEVEL_SECTIONS,
+    MAX_MANIFEST_BYTES,
+    MAX_MANIFEST_DEPTH,
+    SectionType,
+    depth,
+)
 from hapticlod.bundle.structure import Section, read_sections
 from hapticlod.errors import InputError
 from hapticlod.motion import Motion
@@ -156,7 +164,7 @@ class _Reader:
         if len(raw) <= MAX_MANIFEST_BYTES:
             with contextlib.suppress(ValueError, RecursionError):
                 manifest = json.loads(raw.decode("utf-8"), parse_constant=_no_constant)
-        if not isinstance(manifest, dict):
+        if not isinstance(manifest, dict) or depth(manifest) > MAX_MANIFEST_DEPTH:
             raise InputError(f"{self.path}, MANIFEST", "is not a JSON object of at most 16 MiB", WRITE_AGAIN)
         return manifest
 

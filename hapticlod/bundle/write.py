@@ -13,12 +13,14 @@ from hapticlod.bundle.format import (
     LEVEL_SECTIONS,
     MAGIC,
     MAX_MANIFEST_BYTES,
+    MAX_MANIFEST_DEPTH,
     MOTION_DTYPE,
     OPTIONAL,
     SECTION_VERSION,
     VERSION,
     SectionType,
     aligned,
+    depth,
     digest,
     is_optional,
 )
@@ -115,9 +117,9 @@ def _sections(
         raise ValueError(f"config has dtype {settings.dtype}, not CONFIG_DTYPE")
     if len(levels) != int(settings["level_count"][0]):
         raise ValueError(f"{len(levels)} levels, but the config has {int(settings['level_count'][0])}")
-    text = json.dumps(manifest, allow_nan=False, ensure_ascii=False, indent=1, default=_plain).encode()
-    if not isinstance(manifest, Mapping) or len(text) > MAX_MANIFEST_BYTES:
-        raise ValueError("the manifest is not a mapping of at most 16 MiB of JSON")
+    text = json.dumps(manifest, allow_nan=False, ensure_ascii=False, indent=1, default=_plain).encode(errors="replace")
+    if len(text) > MAX_MANIFEST_BYTES or depth(json.loads(text)) > MAX_MANIFEST_DEPTH:
+        raise ValueError("the manifest is larger than 16 MiB, or nested deeper than 64")
     balls = np.zeros(tool.balls, dtype=BALL_DTYPE)
     balls["centre_mm"], balls["radius_mm"] = tool.centres_mm, tool.radii_mm
     sections: list[tuple[int, int, Any]] = [

@@ -137,6 +137,9 @@ std::string Bundle::load_level(std::uint32_t level) {
     if (header.size() != 1) return at + "has " + std::to_string(header.size()) + " hash headers, expected 1";
     view.hash = &header[0];
     if (std::string reason = check_level(view); !reason.empty()) return at + reason;
+    for (const std::uint32_t value : view.hash->reserved) {
+        if (value != 0) return at + "a reserved field of its hash is not 0";
+    }
     if (view.hash->cell_mm != config_->cell_mm[level]) return at + "its hash has another cell_mm than its config";
     levels_.push_back(view);
     storage_.push_back(nullptr);

@@ -176,8 +176,8 @@ private:
         return take(close);
     }
     bool value(int depth) {
-        if (depth > kMaxDepth) return false;
         space();
+        if ((peek() == '{' || peek() == '[') && depth >= kMaxDepth) return false;
         if (take('{')) return members('}', depth);
         if (take('[')) return members(']', depth);
         if (peek() == '"') return string();

@@ -198,6 +198,7 @@ TEST(Bundle, ContentIsChecked) {
                    "config says");
     expect_refused(wrong([](MadeBundle& b) { b.as<ConfigData>(SectionType::config)->balls[1] = 2; }), "more balls");
     expect_refused(wrong([](MadeBundle& b) { b.as<ConfigData>(SectionType::config)->cell_mm[1] = 2; }), "cell_mm");
+    expect_refused(wrong([](MadeBundle& b) { b.as<HashHeader>(SectionType::hash)->reserved[4] = 1; }), "reserved");
     expect_refused(wrong([](MadeBundle& b) { b.as<BallData>(SectionType::tool)->radius_mm = -1; }), "radius");
     expect_refused(wrong([](MadeBundle& b) { b.at(SectionType::tool).bytes.clear(); }), "0 balls");
     expect_refused(wrong([](MadeBundle& b) { b.as<MotionRow>(SectionType::golden_motion)[9].time_s = 0; }), "row 10");
