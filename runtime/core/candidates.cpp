@@ -29,6 +29,7 @@ void Candidates::allocate(const ToolTree& tree, std::size_t balls) {
     evaluations_.resize(kMaxBlocks);
     keys_.resize(kMaxBlocks);
     stamps_.resize(kMaxBlocks);
+    sources_.resize(kMaxBlocks);
     balls_.resize(balls);
     nodes_.resize(tree.nodes().size());
     forget();
@@ -48,7 +49,8 @@ void Candidates::forget() {
 }
 
 std::size_t Candidates::bytes() const {
-    return blocks_.size() * (sizeof(ItemBlock) + sizeof(EvalBlock) + sizeof(double) + sizeof(std::uint32_t)) +
+    return blocks_.size() *
+               (sizeof(ItemBlock) + sizeof(EvalBlock) + sizeof(double) + sizeof(std::uint32_t) + sizeof(Source)) +
            (balls_.size() + nodes_.size()) * sizeof(Safe);
 }
 
@@ -106,8 +108,8 @@ double Candidates::empty_within(const Vec3& centre, double inner, double outer, 
     return std::sqrt(nearest2);
 }
 
-bool Candidates::gather_ball(const SolverBall& ball, std::uint32_t index, double reach, TickCounters& counters) {
-    const LevelView& level = level_->view;
+void Candidates::place(std::uint32_t i) {
+    const SolverBall& ball = solver_balls_[sources_[i].ball];
     const Vec3 centre = centre_ + ball.offset;
     const double at[3] = {centre.x, centre.y, centre.z};
     float shift[3], residual[3];
@@ -115,8 +117,16 @@ bool Candidates::gather_ball(const SolverBall& ball, std::uint32_t index, double
         shift[k] = static_cast<float>(at[k]);
         residual[k] = static_cast<float>(at[k] - double{shift[k]});
     }
+    kernels_->place(level_->view.blocks[sources_[i].block], shift, residual, static_cast<float>(ball.kept), blocks_[i]);
+    std::fill_n(blocks_[i].ball, 8, sources_[i].ball);
+    stamps_[i] = kPlaced;
+}
+
+bool Candidates::gather_ball(const SolverBall& ball, std::uint32_t index, double reach, TickCounters& counters) {
+    const LevelView& level = level_->view;
+    const Vec3 centre = centre_ + ball.offset;
+    const float at[3] = {static_cast<float>(centre.x), static_cast<float>(centre.y), static_cast<float>(centre.z)};
     ++counters.balls;
-    const float radius = static_cast<float>(ball.kept);
     const std::uint32_t before = block_count_;
     const double inner = (ball.kept + reach) * (1.0 + 1e-6);
     const float within = static_cast<float>(inner) * 1.00001f;
@@ -126,24 +136,19 @@ bool Candidates::gather_ball(const SolverBall& ball, std::uint32_t index, double
         ++counters.cells;
         const std::uint64_t below = brick.mask & ((std::uint64_t{1} << bit) - 1);
         const std::uint32_t cell = brick.first_cell + static_cast<std::uint32_t>(std::popcount(below));
+        counters.triangles += 8 * (level.cells[cell + 1] - level.cells[cell]);
         for (std::uint32_t b = level.cells[cell]; b < level.cells[cell + 1]; ++b) {
             const Sphere& sphere = level_->spheres[b];
-            const float dx = sphere.x - shift[0], dy = sphere.y - shift[1], dz = sphere.z - shift[2];
-            const float far = sphere.radius + within;
-            if (const float d2 = dx * dx + dy * dy + dz * dz; d2 > far * far) {
-                least = std::min(least, std::sqrt(double{d2}) - double{sphere.radius} - ball.kept);
+            const float dx = sphere.x - at[0], dy = sphere.y - at[1], dz = sphere.z - at[2];
+            const float distance = std::sqrt(dx * dx + dy * dy + dz * dz) - sphere.radius;
+            if (distance > within) {
+                least = std::min(least, double{distance} - ball.kept);
                 continue;
             }
             if (block_count_ == kMaxBlocks) return complete = false;
-            ItemBlock& block = blocks_[block_count_];
-            const float clearance =
-                kernels_->gather(level.blocks[b], shift, residual, radius, block, evaluations_[block_count_]);
-            counters.triangles += 8;
-            least = std::min(least, double{clearance});
-            if (double{clearance} > reach) continue;
-            std::fill_n(block.ball, 8, index);
-            keys_[block_count_] = double{clearance};
-            stamps_[block_count_] = stamp_;
+            sources_[block_count_] = {b, index};
+            keys_[block_count_] = double{distance} - ball.kept;
+            stamps_[block_count_] = kListed;
             ++block_count_;
         }
         return true;
@@ -191,9 +196,8 @@ bool Candidates::gather_node(std::uint32_t index, std::span<const SolverBall> ba
     return true;
 }
 
-double Candidates::gather(const Vec3& centre, double reach, std::span<const SolverBall> balls, TickCounters& counters,
-                          std::uint32_t stamp) {
-    stamp_ = stamp;
+double Candidates::gather(const Vec3& centre, double reach, std::span<const SolverBall> balls, TickCounters& counters) {
+    solver_balls_ = balls;
     odometer_ += norm(centre - centre_);
     centre_ = centre;
     for (int attempt = 0;; ++attempt) {

@@ -85,7 +85,9 @@ void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCoun
     for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
         if (candidates_.key(i) - path_ > within) continue;
         if (candidates_.stamp(i) != stamp_) {
-            if (kernels_->crossed(candidates_.evaluation(i), p, static_cast<float>(within)) == 0) continue;
+            if (candidates_.evaluated(i) &&
+                kernels_->crossed(candidates_.evaluation(i), p, static_cast<float>(within)) == 0)
+                continue;
             renew(i, counters);
         }
         const EvalBlock& e = candidates_.evaluation(i);
@@ -106,18 +108,28 @@ void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCoun
             }
             const Touch touch{d - ball.kept,
                               {n, dot(n, c.point) + ball.kept, c.point + ball.offset, ball.kept - ball.radius,
-                               b.triangle[k], b.ball[k]},
-                              i,
-                              k};
+                               b.triangle[k], b.ball[k], i, k}};
             for (; at > 0 && touches_[at - 1].clearance > touch.clearance; --at) touches_[at] = touches_[at - 1];
             touches_[at] = touch;
         }
     }
     planes_.count = 0;
     for (std::size_t i = 0; i < count && planes_.count < kMaxPlanes; ++i) {
-        const Triangle t = item_triangle(candidates_.block(touches_[i].block), touches_[i].lane);
+        const Triangle t = item_triangle(candidates_.block(touches_[i].plane.block), touches_[i].plane.lane);
         if (!separated(t, balls[touches_[i].plane.ball].kept)) planes_.planes[planes_.count++] = touches_[i].plane;
     }
+}
+
+// Does every active plane still come from the inside of its face, seen from local_? Then it is the same plane.
+bool ContactSolver::still_planes(const Contact& contact) {
+    for (int i = 0; i < contact.active; ++i) {
+        const ContactPlane& p = contact.planes[i];
+        const Triangle t = item_triangle(candidates_.block(p.block), p.lane);
+        const Vec3 n = cross(t.b - t.a, t.c - t.a);
+        const double along = dot(n, p.normal);
+        if (along * along < (1.0 - 1e-12) * norm2(n) || !closest_on_triangle(local_, t).interior) return false;
+    }
+    return true;
 }
 
 double ContactSolver::sweep(const Vec3& step, std::span<const SolverBall> balls, TickCounters& counters) {
@@ -130,13 +142,13 @@ double ContactSolver::sweep(const Vec3& step, std::span<const SolverBall> balls,
     for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
         if (candidates_.key(i) - path_ > length) continue;
         // One plane with both ends on its free side keeps the whole step free.
-        std::uint32_t bits = kernels_->crossed(candidates_.evaluation(i), to, margin);
         if (candidates_.stamp(i) != stamp_) {
-            bits |= kernels_->crossed(candidates_.evaluation(i), from, margin);
-            if (bits == 0) continue;
+            if (candidates_.evaluated(i) && (kernels_->crossed(candidates_.evaluation(i), to, margin) |
+                                             kernels_->crossed(candidates_.evaluation(i), from, margin)) == 0)
+                continue;
             renew(i, counters);
-            bits = kernels_->crossed(candidates_.evaluation(i), to, margin);
         }
+        std::uint32_t bits = kernels_->crossed(candidates_.evaluation(i), to, margin);
         for (const ItemBlock& b = candidates_.block(i); bits != 0; bits &= bits - 1) {
             const auto k = static_cast<std::uint32_t>(std::countr_zero(bits));
             const Triangle t = item_triangle(b, k);
@@ -168,7 +180,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         ++stamp_;
         // Candidates are good while x and everything within touching distance stays inside their reach.
         if (!candidates_.valid() || norm(x_ - candidates_.centre()) > 0.75 * (candidates_.reach() - slack)) {
-            const double granted = candidates_.gather(x_, wanted, balls, counters, stamp_);
+            const double granted = candidates_.gather(x_, wanted, balls, counters);
             if (granted < wanted) counters.errors |= kErrCandidates;
             path_ = 0.0;
             out.active = 0;  // planes of the last step are in the old frame
@@ -201,12 +213,13 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
             out.converged = true;
             break;
         }
+        bool stretched = false;
         if (solution.active > 0) {
             // Stretched, then back behind no plane: the sweep spares what the planes separate.
             if (const double stretch = slide.stretch(step, length); stretch > 1.0) {
                 const PlaneSolution far =
                     nearest_feasible(planes_, local_ + step * stretch, false, 1e-3 * tolerances_.settled);
-                if (far.feasible) step = far.y - local_, length = norm(step);
+                if (far.feasible) step = far.y - local_, length = norm(step), stretched = true;
             }
         }
         // Clip to the ball the candidates are complete for: |local + t step| = limit.
@@ -220,8 +233,12 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         const double t = std::min(sweep(step, balls, counters), 1.0);
         x_ += step * t;
         path_ += length * whole * t;
-        if (planes_.count == 0 && whole == 1.0 && t == 1.0) {
-            out.converged = true;  // arrived at the HIP, nothing touched
+        if (whole < 1.0 || t < 1.0) continue;
+        local_ += step;
+        // Arrived: at the HIP with nothing touched, or on faces whose planes are the same here. Nothing else was met on
+        // the way, so there is nothing left to solve.
+        if (planes_.count == 0 || (!stretched && still_planes(out))) {
+            out.converged = true;
             break;
         }
     }

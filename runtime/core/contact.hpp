@@ -72,12 +72,12 @@ private:
     struct Touch {
         double clearance;
         ContactPlane plane;
-        std::uint32_t block, lane;
     };
 
     void renew(std::uint32_t block, TickCounters& counters);
     void collect_touching(std::span<const SolverBall> balls, TickCounters& counters);
     [[nodiscard]] double sweep(const Vec3& step, std::span<const SolverBall> balls, TickCounters& counters);
+    [[nodiscard]] bool still_planes(const Contact& contact);
     [[nodiscard]] bool separated(const Triangle& t, double kept) const;
 
     Candidates candidates_;
@@ -87,8 +87,9 @@ private:
     Vec3 x_;
     Vec3 local_;  // x relative to the candidates' centre, at the last evaluation
     double free_distance_ = 0.0;
-    double path_ = 0.0;        // length moved since the gather
-    std::uint32_t stamp_ = 0;  // names the present local_: what carries it need not be evaluated again
+    double path_ = 0.0;  // length moved since the gather
+    std::uint32_t stamp_ =
+        Candidates::kPlaced;  // names the present local_: what carries it need not be evaluated again
     PlaneSet planes_;
     std::vector<Touch> touches_;
 };

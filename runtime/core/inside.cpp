@@ -33,7 +33,7 @@ Vec3 weighted_normal(const Triangle& t, const ClosestPoint& c, double same2) {
 }
 
 // Least clearance over all candidates at x, in double.
-double least_clearance(const Candidates& candidates, const Vec3& x, std::span<const SolverBall> balls) {
+double least_clearance(Candidates& candidates, const Vec3& x, std::span<const SolverBall> balls) {
     double least = 1e300;
     for (std::uint32_t i = 0; i < candidates.block_count(); ++i)
         for (std::uint32_t k = 0; k < 8; ++k) {

@@ -24,10 +24,9 @@ struct alignas(32) EvalBlock {
 
 struct Kernels {
     const char* name;
-    // A stored block as items of one ball, relative to (shift + residual), evaluated from there; returns the least
-    // clearance. shift is the float nearest to the ball's centre, residual what it leaves.
-    float (*gather)(const TriBlock& block, const float shift[3], const float residual[3], float radius, ItemBlock& out,
-                    EvalBlock& evaluation);
+    // A stored block as items of one ball, relative to (shift + residual). shift is the float nearest to the ball's
+    // centre, residual what it leaves.
+    void (*place)(const TriBlock& block, const float shift[3], const float residual[3], float radius, ItemBlock& out);
     // Separating planes and clearances from p; returns the least clearance.
     float (*eval)(const ItemBlock& block, const float p[3], EvalBlock& out);
     // Bit k: the plane of lane k does not keep y away, n.y - offset < margin.

@@ -101,8 +101,7 @@ float eval(const ItemBlock& block, const float p[3], EvalBlock& out) {
     return least;
 }
 
-float gather(const TriBlock& block, const float shift[3], const float residual[3], float radius, ItemBlock& out,
-             EvalBlock& evaluation) {
+void place(const TriBlock& block, const float shift[3], const float residual[3], float radius, ItemBlock& out) {
     for (int row = 0; row < 9; ++row) {
         F8 v;
         load(block.v[row], v);
@@ -112,8 +111,6 @@ float gather(const TriBlock& block, const float shift[3], const float residual[3
         out.radius[k] = radius;
         out.triangle[k] = block.id[k] == kNoNeighbour ? block.id[0] : block.id[k];
     }
-    const float here[3] = {0.0f, 0.0f, 0.0f};
-    return eval(out, here, evaluation);
 }
 
 std::uint32_t crossed(const EvalBlock& block, const float y[3], float margin) {
