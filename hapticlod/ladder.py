@@ -1,0 +1,187 @@
+"""The ladder: nested simplifications of one scan, from the scan itself down to a few hundred triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from hapticlod.caps import contract_dust, flip_caps, is_flat
+from hapticlod.collapse import CollapseList, collapse
+from hapticlod.deviation import Deviation, ScanSurface
+from hapticlod.errors import HapticLODError, InputError
+from hapticlod.repair import DEGENERATE_HEIGHT_OF_EXTENT
+from hapticlod.scan import Scan
+
+STAGE = "simplify into a ladder and measure the rungs"
+# A rung that is less than this part smaller than the one before tells nothing new.
+_LEAST_STEP = 0.03
+_REMEMBERED = 32  # rungs of `at` that are kept
+
+
+@dataclass(frozen=True, eq=False)
+class Rung:
+    """One simplification of the scan.
+
+    Attributes:
+        vertices: (v, 3) float64 mm. faces: (f, 3) int32, facing as the scan does. Both in the scan's spatial order.
+        vertex_map: (n,) int32, for every vertex of the scan the vertex of this rung that it became part of. Two
+            vertices that share one on a rung share one on every coarser rung. Where the last face around a vertex was
+            removed, it counts to a neighbour; a vertex may be without faces.
+        asked: number of triangles asked for. `triangles` may be larger where no more could be collapsed without
+            turning faces over, and smaller by one or two because a collapse removes a pair.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    vertex_map: np.ndarray
+    asked: int
+    _scan: ScanSurface = field(repr=False)
+
+    @property
+    def triangles(self) -> int:
+        """Number of faces."""
+        return len(self.faces)
+
+    @property
+    def is_larger_than_asked(self) -> bool:
+        """Whether the simplifier stopped early."""
+        return self.triangles > self.asked
+
+    @cached_property
+    def mean_edge_mm(self) -> float:
+        """Mean length of the sides of all faces (an edge between two faces counts twice)."""
+        sides = self.vertices[self.faces] - self.vertices[self.faces[:, [1, 2, 0]]]
+        return float(np.sqrt(np.einsum("ijk,ijk->ij", sides, sides)).mean())
+
+    @cached_property
+    def deviation(self) -> Deviation:
+        """Distance to the scan, measured when first asked for: see `ScanSurface` for the sampling."""
+        if self.vertices is self._scan.vertices:
+            return Deviation(0.0, 0.0, 0.0)
+        return self._scan.deviation(self.vertices, self.faces, self.vertex_map)
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square distance between rung and scan, both directions."""
+        return self.deviation.rms_mm
+
+    @property
+    def hausdorff_mm(self) -> float:
+        """Greatest distance found between rung and scan, either direction."""
+        return self.deviation.hausdorff_mm
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """A scan and its rungs, finest first; rung 0 is the scan itself.
+
+    Attributes:
+        scan: the scan. rungs: strictly falling in triangles.
+        notes: what did not go as asked, one sentence each.
+    """
+
+    scan: Scan
+    rungs: tuple[Rung, ...]
+    notes: tuple[str, ...]
+    _collapses: CollapseList = field(repr=False)
+    _made: dict[int, Rung] = field(repr=False, default_factory=dict)
+
+    def at(self, triangles: int) -> Rung:
+        """The rung with at most so many triangles that is nearest to them: a prefix of the list of collapses.
+
+        Counts above the scan's give the scan; counts below what simplification can reach give the coarsest.
+
+        Raises:
+            InputError: `triangles` is less than 1.
+        """
+        if triangles < 1:
+            raise InputError(f"{triangles} triangles", "is less than 1", "ask for a positive number of triangles")
+        for rung in self.rungs:
+            if rung.triangles == triangles:
+                return rung
+        if triangles >= self.scan.triangles:
+            return self.rungs[0]
+        steps = self._collapses.collapses_for(triangles)
+        if steps not in self._made:
+            if len(self._made) >= _REMEMBERED:
+                self._made.pop(next(iter(self._made)), None)
+            self._made[steps] = _rung(self._collapses, steps, triangles, self.scan, self.rungs[0]._scan)
+        return self._made[steps]
+
+
+def build_ladder(
+    scan: Scan,
+    rungs: int = 12,
+    coarsest_ratio: float = 300.0,
+    *,
+    progress: Callable[[str, float], None] | None = None,
+) -> Ladder:
+    """Simplify a scan once and cut the list of collapses into rungs, evenly spaced in the logarithm of their size.
+
+    Args:
+        scan: a cleaned scan.
+        rungs: how many, at least 1; fewer come back where simplification stops early or the scan is small.
+        coarsest_ratio: the scan's triangles over those of the coarsest rung.
+        progress: called with the stage and how much of it is done, 0 to 1.
+
+    Raises:
+        InputError: fewer than 1 rung or a ratio below 1.
+        HapticLODError: simplification gave a mesh that is not sound (a fault of this program, not of the scan).
+    """
+    if rungs < 1:
+        raise InputError(f"rungs = {rungs}", "is less than 1", "ask for about 12")
+    if not 1.0 <= coarsest_ratio < float("inf"):
+        raise InputError(f"coarsest_ratio = {coarsest_ratio}", "is not a number from 1 up", "use about 300")
+    tell = progress or (lambda stage, part: None)
+    tell(STAGE, 0.0)
+    count = scan.triangles
+    targets = [max(1, round(count * coarsest_ratio ** (-i / max(1, rungs - 1)))) for i in range(rungs)]
+    surface = ScanSurface(scan.vertices, scan.faces)
+    collapses = collapse(scan.vertices, scan.faces, targets[-1])
+    finest = Rung(scan.vertices, scan.faces, np.arange(len(scan.vertices), dtype=np.int32), count, surface)
+    made = [finest]
+    tell(STAGE, 0.2)
+    for number, target in enumerate(targets[1:], start=1):
+        rung = _rung(collapses, collapses.collapses_for(target), target, scan, surface)
+        if rung.triangles > (1.0 - _LEAST_STEP) * made[-1].triangles:
+            continue
+        _ = rung.deviation  # measured now, while progress is shown
+        made.append(rung)
+        tell(STAGE, 0.2 + 0.8 * number / max(1, rungs - 1))
+    tell(STAGE, 1.0)
+    return Ladder(scan, tuple(made), _notes(made, targets), collapses)
+
+
+def _rung(collapses: CollapseList, steps: int, asked: int, scan: Scan, surface: ScanSurface) -> Rung:
+    vertices, faces, vertex_map = collapses.mesh(steps)
+    if not np.isfinite(vertices).all():
+        raise HapticLODError(f"simplification of {scan.name} to {asked} triangles put a vertex at infinity")
+    height = DEGENERATE_HEIGHT_OF_EXTENT * scan.extent_mm
+    if is_flat(vertices, faces, height).any():
+        # Vertices that came to lie on one point share faces from here on; the map still tells them apart.
+        faces = contract_dust(vertices, faces, height)[faces]
+        faces = flip_caps(vertices, faces[~is_flat(vertices, faces, 0.0)], height)
+        faces = faces[~is_flat(vertices, faces, height)]
+    faces = faces.astype(np.int32)
+    for array in (vertices, faces, vertex_map):
+        array.setflags(write=False)
+    return Rung(vertices, faces, vertex_map, asked, surface)
+
+
+def _notes(made: list[Rung], targets: list[int]) -> tuple[str, ...]:
+    notes = []
+    if len(made) < len(targets):
+        notes.append(
+            f"{len(made)} rungs instead of {len(targets)}: simplification stopped at {made[-1].triangles} triangles, "
+            f"{targets[-1]} were asked for"
+        )
+    elif made[-1].is_larger_than_asked:
+        notes.append(f"the coarsest rung has {made[-1].triangles} triangles, {targets[-1]} were asked for")
+    turned = max(made, key=lambda rung: rung.deviation.turned_part)
+    if turned.deviation.turned_part > 0.01:
+        part = f"{100 * turned.deviation.turned_part:.1f} %"
+        notes.append(f"{part} of the rung of {turned.triangles} triangles face against the scan (thin or folded parts)")
+    return tuple(notes)
