@@ -1,0 +1,254 @@
+"""An independent answer to "where is the contact?": float64, exhaustive over triangles, nothing shared with the core.
+
+The definition it implements (docs/contact.md): the tool's reference point keeps the distance
+kept = max(radius, crack / 2) + skin from every triangle, for each of its balls. One step: planes of everything
+touched, the point nearest to the HIP behind none of them, a straight sweep to it that stops at the first touch.
+Touches are roots of the exact offset surfaces (face planes, edge cylinders, corner spheres); the nearest point is
+found by trying every set of up to three planes. Steps repeat until nothing moves.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+SKIN_OF_EXTENT = 4e-6
+
+
+def closest_points(triangles: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """(m, 3) closest point of each triangle (m, 3, 3) to p (3,) or (m, 3)."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    normal = np.cross(b - a, c - a)
+    area2 = np.einsum("ij,ij->i", normal, normal)
+    safe = np.where(area2 > 0.0, area2, 1.0)
+    ap = p - a
+    u = np.einsum("ij,ij->i", np.cross(ap, c - a), normal) / safe
+    v = np.einsum("ij,ij->i", np.cross(b - a, ap), normal) / safe
+    inside = (area2 > 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
+    height = np.einsum("ij,ij->i", ap, normal) / safe
+    best = np.where(inside[:, None], p - normal * height[:, None], 0.0)
+    best2 = np.where(inside, np.einsum("ij,ij->i", p - best, p - best), np.inf)
+    for start, end in ((a, b), (b, c), (c, a)):
+        edge = end - start
+        length2 = np.einsum("ij,ij->i", edge, edge)
+        t = np.einsum("ij,ij->i", p - start, edge) / np.where(length2 > 0.0, length2, 1.0)
+        q = start + edge * np.clip(t, 0.0, 1.0)[:, None]
+        d2 = np.einsum("ij,ij->i", p - q, p - q)
+        nearer = ~inside & (d2 < best2)
+        best[nearer], best2[nearer] = q[nearer], d2[nearer]
+    return best
+
+
+def distances(triangles: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """(m,) distance of each triangle to p."""
+    return np.linalg.norm(p - closest_points(triangles, p), axis=1)
+
+
+def _first_root(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Entering root of a t^2 + 2 b t + c, inf where there is none."""
+    disc = b * b - a * c
+    ok = (a > 0.0) & (b < 0.0) & (disc >= 0.0)
+    # c / (-b + sqrt) is the smaller root without cancellation.
+    return np.where(ok, c / np.where(ok, -b + np.sqrt(np.maximum(disc, 0.0)), 1.0), np.inf)
+
+
+def touch_times(triangles: np.ndarray, keep: np.ndarray, x: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """(m,) first t >= 0 at which x + t step comes within keep (m,) of each triangle; inf where it never does."""
+    times = np.full(len(triangles), np.inf)
+    corners = [triangles[:, k] for k in range(3)]
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    area2 = np.einsum("ij,ij->i", normal, normal)
+    flat = area2 > 0.0
+    unit = normal / np.sqrt(np.where(flat, area2, 1.0))[:, None]
+    height = np.einsum("ij,ij->i", x - corners[0], unit)
+    fall = unit @ step
+    for sign in (1.0, -1.0):
+        approaching = flat & (sign * fall < 0.0)
+        t = np.where(approaching, (sign * keep - height) / np.where(approaching, fall, 1.0), np.inf)
+        t = np.where(t >= 0.0, t, np.inf)
+        foot = x + np.where(np.isfinite(t), t, 0.0)[:, None] * step - unit * (sign * keep)[:, None] - corners[0]
+        u = np.einsum("ij,ij->i", np.cross(foot, corners[2] - corners[0]), normal) / np.where(flat, area2, 1.0)
+        v = np.einsum("ij,ij->i", np.cross(corners[1] - corners[0], foot), normal) / np.where(flat, area2, 1.0)
+        times = np.minimum(times, np.where((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0), t, np.inf))
+    for k in range(3):
+        start, edge = corners[k], corners[(k + 1) % 3] - corners[k]
+        m = x - start
+        t = _first_root(np.full(len(m), step @ step), m @ step, np.einsum("ij,ij->i", m, m) - keep * keep)
+        times = np.minimum(times, np.where(t >= 0.0, t, np.inf))
+        length2 = np.einsum("ij,ij->i", edge, edge)
+        safe = np.where(length2 > 0.0, length2, 1.0)
+        along_m, along_step = np.einsum("ij,ij->i", m, edge) / safe, (edge @ step) / safe
+        across_m, across_step = m - along_m[:, None] * edge, step - along_step[:, None] * edge
+        t = _first_root(
+            np.einsum("ij,ij->i", across_step, across_step),
+            np.einsum("ij,ij->i", across_m, across_step),
+            np.einsum("ij,ij->i", across_m, across_m) - keep * keep,
+        )
+        s = along_m + np.where(np.isfinite(t), t, 0.0) * along_step
+        times = np.minimum(times, np.where((length2 > 0.0) & (t >= 0.0) & (s >= 0.0) & (s <= 1.0), t, np.inf))
+    # Already nearer than keep: distance to a convex set is convex, so it blocks at once or never.
+    here = closest_points(triangles, x)
+    d = np.linalg.norm(x - here, axis=1)
+    slope = np.einsum("ij,j->i", x - here, step)
+    return np.where(d <= keep, np.where(slope < 0.0, 0.0, np.inf), times)
+
+
+def nearest_point(normals: np.ndarray, offsets: np.ndarray, target: np.ndarray, tolerance: float) -> tuple:
+    """Point nearest to target with normals y >= offsets - tolerance, over every set of up to three active planes.
+
+    Returns (point, indices of the active planes); (None, ()) where the planes contradict each other.
+    """
+    if (normals @ target >= offsets - tolerance).all():
+        return target, ()
+    best, active, least = None, (), np.inf
+    for size in (1, 2, 3):
+        if size > len(normals):
+            break
+        sets = np.array(list(combinations(range(len(normals)), size)))
+        n = normals[sets]  # (s, size, 3)
+        gram = n @ n.transpose(0, 2, 1)
+        usable = np.linalg.det(gram) > 1e-13
+        sets, n, gram = sets[usable], n[usable], gram[usable]
+        if not len(sets):
+            continue
+        lift = np.linalg.solve(gram, (offsets[sets] - n @ target)[..., None])[..., 0]
+        y = target + np.einsum("sk,skj->sj", lift, n)
+        feasible = (y @ normals.T >= offsets - tolerance).all(axis=1)
+        far = np.where(feasible, np.linalg.norm(y - target, axis=1), np.inf)
+        i = int(np.argmin(far))
+        if far[i] < least - 1e-15:
+            best, active, least = y[i], tuple(int(k) for k in sets[i]), far[i]
+    return best, active
+
+
+@dataclass
+class Answer:
+    """One tick: the SCP, the reference point it belongs to, whether it settled, how many constraints hold it."""
+
+    scp_mm: np.ndarray
+    reference_mm: np.ndarray
+    settled: bool
+    constraints: int
+    iterations: int
+
+
+class Oracle:
+    """A rigid union of balls against a mesh. vertices (n, 3) mm, faces (m, 3), balls (P, 4) x y z r."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, balls: np.ndarray, crack_mm: float = 0.0) -> None:
+        points = np.asarray(vertices, dtype=np.float64)
+        self.triangles = points[np.asarray(faces)]
+        used = self.triangles.reshape(-1, 3)
+        self.skin = SKIN_OF_EXTENT * float(np.linalg.norm(used.max(0) - used.min(0)))
+        self.offsets = np.asarray(balls, dtype=np.float64)[:, :3]
+        self.radii = np.asarray(balls, dtype=np.float64)[:, 3]
+        self.kept = np.maximum(self.radii, 0.5 * crack_mm) + self.skin
+        self.middle = self.triangles.mean(axis=1)
+        self.size = np.linalg.norm(self.triangles - self.middle[:, None], axis=2).max(axis=1)
+
+    def items(self, centre: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Every (triangle - ball offset) that the reference point could touch within reach of centre, by a bound."""
+        triangles, kept, radii = [], [], []
+        for offset, keep, radius in zip(self.offsets, self.kept, self.radii, strict=True):
+            gap = np.linalg.norm(self.middle - offset - centre, axis=1) - self.size
+            near = np.flatnonzero(gap <= reach + keep)
+            triangles.append(self.triangles[near] - offset)
+            kept.append(np.full(len(near), keep))
+            radii.append(np.full(len(near), radius))
+        return np.concatenate(triangles), np.concatenate(kept), np.concatenate(radii)
+
+    def clearance(self, x: np.ndarray, reach: float = 1.0) -> float:
+        """Least distance of a ball's surface to the mesh with the reference at x (negative: penetration)."""
+        triangles, _, radii = self.items(x, reach)
+        return float((distances(triangles, x) - radii).min()) if len(triangles) else np.inf
+
+    def planes(self, items: tuple[np.ndarray, np.ndarray, np.ndarray], x: np.ndarray) -> tuple:
+        """Normals, offsets and slacks of what is touched at x, nearest first, without what they already separate."""
+        triangles, kept, radii = items
+        c = closest_points(triangles, x)
+        d = np.linalg.norm(x - c, axis=1)
+        touched = np.flatnonzero((d - kept <= self.skin) & (d > 0.0))
+        normals: list[np.ndarray] = []
+        offsets: list[float] = []
+        slacks: list[float] = []
+        for i in touched[np.argsort((d - kept)[touched], kind="stable")]:
+            if normals:
+                top = (triangles[i] @ np.array(normals).T).max(axis=0) + kept[i]
+                if (top <= np.array(offsets) + 0.25 * self.skin).any():
+                    continue
+            n = (x - c[i]) / d[i]
+            normals.append(n)
+            offsets.append(float(n @ c[i] + kept[i]))
+            slacks.append(float(kept[i] - radii[i]))
+        return np.array(normals).reshape(-1, 3), np.array(offsets), np.array(slacks)
+
+    def start_from(self, scp: np.ndarray, hip: np.ndarray) -> np.ndarray:
+        """The reference point that belongs to an SCP on the surface: pushed off it, away from the HIP."""
+        pull = scp - hip
+        depth = float(np.linalg.norm(pull))
+        x = scp + pull * (self.skin / depth) if depth > 0.0 else scp
+        for _ in range(50):
+            triangles, kept, _ = self.items(x, float(self.kept.max()))
+            if not len(triangles):
+                break
+            c = closest_points(triangles, x)
+            d = np.linalg.norm(x - c, axis=1)
+            i = int(np.argmin(d - kept))
+            if d[i] - kept[i] >= -1e-3 * self.skin or d[i] == 0.0:
+                break
+            x = c[i] + (x - c[i]) * (kept[i] / d[i])
+        return x
+
+    def solve(self, x: np.ndarray, hip: np.ndarray, most: int = 400) -> Answer:
+        """Moves the reference point from x toward the HIP until it settles."""
+        # Every step shortens |x - hip|: what lies outside this ball is never touched.
+        items = self.items(hip, float(np.linalg.norm(x - hip)) + 4.0 * self.skin)
+        triangles, kept, _ = items
+        settled = False
+        k = 0
+        normals, offsets, slacks = walls = (np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+        last_step = np.zeros(3)
+        for k in range(most):
+            normals, offsets, slacks = self.planes(items, x)
+            y, active = nearest_point(normals, offsets, hip, 1e-5 * self.skin)
+            if y is None:
+                break
+            if k > 30 and (y - x) @ last_step < 0.0:
+                # To and fro over a crease too shallow for both walls to be touched at once: both hold.
+                both = [np.concatenate(pair) for pair in zip((normals, offsets, slacks), walls, strict=True)]
+                turned, held = nearest_point(both[0], both[1], hip, 1e-5 * self.skin)
+                if turned is not None and np.linalg.norm(turned - x) > 2e-3 * self.skin:
+                    (normals, offsets, slacks), y, active = both, turned, held
+            step = y - x
+            walls, last_step = (normals[list(active)], offsets[list(active)], slacks[list(active)]), step
+            if np.linalg.norm(step) <= 2e-3 * self.skin:
+                settled = True
+                break
+            t = float(min(touch_times(triangles, kept - 0.1 * self.skin, x, step).min(initial=1.0), 1.0))
+            x = x + t * step
+            if t == 1.0 and not len(normals):
+                settled = True
+                break
+        scp, active = nearest_point(normals, offsets - slacks, hip, 1e-5 * self.skin)
+        return Answer(x if scp is None else scp, x, settled and scp is not None, len(active), k + 1)
+
+    def unheld(self, scp: np.ndarray, hip: np.ndarray) -> float:
+        """Share (0 to 1) of the pull toward the HIP that no touched triangle holds: 0 at a local minimum of distance.
+
+        First-order conditions of "nearest reachable point": scp - hip is a nonnegative sum of contact normals.
+        """
+        from scipy.optimize import nnls
+
+        pull = scp - hip
+        depth = float(np.linalg.norm(pull))
+        if depth <= self.skin:
+            return 0.0
+        seen_from = scp + pull * (self.skin / depth)
+        triangles, _, radii = self.items(seen_from, 3.0 * self.skin)
+        c = closest_points(triangles, seen_from) if len(triangles) else np.zeros((0, 3))
+        d = np.linalg.norm(seen_from - c, axis=1)
+        held = (d - radii < 3.0 * self.skin) & (d > 0.0)
+        if not held.any():
+            return 1.0
+        _, rest = nnls(((seen_from - c)[held] / d[held, None]).T, pull / depth)
+        return float(rest)
