@@ -149,6 +149,17 @@ bool Candidates::gather_ball(const SolverBall& ball, std::uint32_t index, double
             sources_[block_count_] = {b, index};
             keys_[block_count_] = double{distance} - ball.kept;
             stamps_[block_count_] = kListed;
+            // A sphere much larger than the reach says little: look now, and mostly be rid of the block.
+            if (double{sphere.radius} > reach) {
+                place(block_count_);
+                const float here[3] = {0.0f, 0.0f, 0.0f};
+                const double clearance{kernels_->eval(blocks_[block_count_], here, evaluations_[block_count_])};
+                counters.tests += 8;
+                least = std::min(least, clearance);
+                if (clearance > reach) continue;
+                keys_[block_count_] = clearance;
+                stamps_[block_count_] = kAtCentre;
+            }
             ++block_count_;
         }
         return true;

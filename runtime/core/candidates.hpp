@@ -57,8 +57,8 @@ public:
     // Lower bound of a block's clearance plus the path length at which it was found.
     [[nodiscard]] double& key(std::uint32_t i) { return keys_[i]; }
     [[nodiscard]] double key(std::uint32_t i) const { return keys_[i]; }
-    // Where the evaluation was made (the solver's stamp, above kPlaced).
-    static constexpr std::uint32_t kListed = 0, kPlaced = 1;
+    // Where the evaluation was made (the solver's stamp, above kAtCentre).
+    static constexpr std::uint32_t kListed = 0, kPlaced = 1, kAtCentre = 2;
     [[nodiscard]] std::uint32_t& stamp(std::uint32_t i) { return stamps_[i]; }
     // Lower bound of the tool's clearance at x, as far as the gathers know.
     [[nodiscard]] double clearance_bound(const Vec3& x) const;
