@@ -10,7 +10,7 @@ LoopOutcome run_loop(Renderer& renderer, Device& device, SafetyCore& safety, Loo
                      const LoopSettings& settings, const std::atomic<bool>& stop, Tally& tally) noexcept {
     constexpr double kZero[3] = {0.0, 0.0, 0.0};
     MonotonicClock stopwatch;  // measures computing even where the loop's own time is simulated
-    OverrunGovernor governor(settings.level_count);
+    OverrunGovernor governor(settings.level_count, settings.period_s);
     LoopOutcome outcome;
     const std::int64_t start_ns = clock.now_ns();
     Schedule schedule(start_ns, settings.period_s);

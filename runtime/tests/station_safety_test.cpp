@@ -227,7 +227,7 @@ TEST(Safety, SafeIsLatchedAndKeepsItsFirstFault) {
 }
 
 TEST(Overrun, GoesCoarserAtOnceAndFinerSlowly) {
-    OverrunGovernor governor(4);
+    OverrunGovernor governor(4, kT);
     EXPECT_EQ(governor.update(false, 0), 0u);
     EXPECT_EQ(governor.update(true, 1), 2u);  // coarser than what was used
     EXPECT_EQ(governor.update(true, 2), 3u);
@@ -235,8 +235,8 @@ TEST(Overrun, GoesCoarserAtOnceAndFinerSlowly) {
     EXPECT_EQ(governor.raised(), 2u);
     unsigned ticks = 0;
     while (governor.update(false, 3) > 0) ++ticks;
-    EXPECT_EQ(ticks, 3 * OverrunGovernor::kHold - 1);
-    OverrunGovernor single(1);
+    EXPECT_EQ(ticks, 3u * 200u - 1u);
+    OverrunGovernor single(1, kT);
     EXPECT_EQ(single.update(true, 0), 0u);
 }
 
