@@ -137,7 +137,8 @@ double Renderer::State::accept_pose(const Pose& pose, double now_s, TickCounters
     const double* q = pose.orientation;
     const double length2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
     const Vec3 position = load3(pose.position_mm) - load3(config.origin_mm);
-    if (!position.finite() || !(std::abs(length2 - 1.0) < 1e-2)) {
+    // Nor is a place so far off that its square overflows: path lengths would be spoilt for good.
+    if (!(norm2(position) < 1e18) || !(std::abs(length2 - 1.0) < 1e-2)) {
         counters.errors |= kErrHipNotFinite;
         return dt;
     }
