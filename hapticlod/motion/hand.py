@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d, minimum_filter1d
 
 from hapticlod.motion.motion import Motion
 from hapticlod.motion.smooth import low_passed
@@ -19,6 +20,9 @@ Array = NDArray[np.float64]
 
 _FOLLOW_HZ = 25.0  # a hand of 0.08 kg on 1-2 N/mm follows a surface up to about sqrt(k/m) / 2 pi
 _TURN_HZ = 1.5  # how fast the shaft follows the surface's normal
+_EVERY = 4  # base ticks: 250 Hz suffice for what is smooth already
+_BEARING_SHARE = 0.5  # of the way to the medial axis
+_LEAN_COSINE = 0.85
 _APPROACH_S = 0.4
 _RAMP_S = 0.11
 _LIFT_MM = 2.0
@@ -79,21 +83,22 @@ def hand_motion(
     """A hand that follows `track` (its normals (K, 3)) at `speed_mm_s` (T,) given at `BASE_HZ`."""
     ticks = len(speed_mm_s)
     along = travelled_mm(float(track.walked_mm[-1]), speed_mm_s)
-    centre = _interpolated(along, track.walked_mm, track.points_mm)
-    centre = low_passed(centre, _FOLLOW_HZ, BASE_HZ)
+    centre = _followed(surface, _interpolated(along, track.walked_mm, track.points_mm), tool.reference_radius_mm)
     raw_normal = _interpolated(along, track.walked_mm, normals)
-    normal = _unit(low_passed(raw_normal, 0.5 * _FOLLOW_HZ, BASE_HZ))
+    normal = _leaned(raw_normal)
 
     time_s = np.arange(ticks) / BASE_HZ
     end_s = ticks / BASE_HZ
     approach_s = min(_APPROACH_S, 0.1 * end_s)
     ends = [Lift(-1.0, approach_s, _LIFT_MM), Lift(end_s - approach_s, end_s + 1.0, _LIFT_MM)]
     depth = _depth_mm(time_s, lifts, press, rng)
+    depth = _borne(surface, centre, normal, depth, tool.reference_radius_mm)
+    room = _room(surface, centre, normal, tool.reference_radius_mm)
     offset = -depth
     for lift in sorted([*lifts, *ends], key=lambda lift: lift.height_mm):
         ramp_s = min(_RAMP_S, 0.4 * (lift.stop_s - lift.start_s), approach_s)
         up = min_jerk((time_s - lift.start_s) / ramp_s) * (1.0 - min_jerk((time_s - lift.stop_s + ramp_s) / ramp_s))
-        offset += up * (lift.height_mm - offset)
+        offset += up * (np.minimum(lift.height_mm, room) - offset)
     hip = centre + offset[:, None] * normal + tremor_mm(ticks, rng, rms_mm=press.tremor_rms_mm)
 
     at_s = np.arange(max(round(end_s * loop_hz), 2)) / loop_hz
@@ -117,6 +122,62 @@ def hand_motion(
         "path_walked_twice": bool(np.sum(speed_mm_s) / BASE_HZ > track.walked_mm[-1]),
     }
     return Motion(at_s, hip, orientation, float(loop_hz), name, {**provenance, **facts})
+
+
+def _leaned(normal: Array) -> Array:
+    """Where the hand pushes from (T, 3): the normals, calmed, but nowhere far from the true ones."""
+    calm = _unit(low_passed(normal, 0.5 * _FOLLOW_HZ, BASE_HZ))
+    far = np.einsum("ij,ij->i", calm, normal) < _LEAN_COSINE
+    leaned = calm + _softened(far, 0.015)[:, None] * (normal - calm)
+    return _unit(low_passed(leaned, 2.5 * _FOLLOW_HZ, BASE_HZ))
+
+
+def _softened(flags: NDArray[np.bool_], reach_s: float) -> Array:
+    """Flags (T,) at `BASE_HZ`, widened by `reach_s` and with soft flanks."""
+    reach = reach_s * BASE_HZ
+    return np.asarray(gaussian_filter1d(maximum_filter1d(flags.astype(np.float64), 2 * round(reach) + 1), 0.5 * reach))
+
+
+def _followed(surface: Surface, touched: Array, radius_mm: float) -> Array:
+    """The path (T, 3) as a hand follows it: it cuts corners through the air, but not through the body.
+
+    So a fast hand flies over hollows; over crests it goes round, as the surface makes it.
+    """
+    smooth = low_passed(touched, _FOLLOW_HZ, BASE_HZ)
+    knots = np.arange(0, len(touched), _EVERY)
+    places, normals = surface.project(smooth[knots])
+    height = np.einsum("ij,ij->i", smooth[knots] - places, normals) - radius_mm
+    sunk = np.repeat(height < -0.25 * surface.spacing_mm, _EVERY)[: len(touched)]
+    followed = low_passed(smooth + _softened(sunk, 0.015)[:, None] * (touched - smooth), 2.5 * _FOLLOW_HZ, BASE_HZ)
+    sampled = followed[knots]
+    lift = low_passed(surface.pushed_out(sampled, radius_mm) - sampled, 2.5 * _FOLLOW_HZ, BASE_HZ / _EVERY)
+    return followed + _interpolated(np.arange(len(touched), dtype=np.float64), knots.astype(np.float64), lift)
+
+
+def _borne(surface: Surface, centre: Array, normal: Array, depth: Array, radius_mm: float) -> Array:
+    """`depth` (T,) made less where the body is thin or the surface is a crest.
+
+    A HIP that swings deep below a crest would leave its contact point behind on the near flank: no hand does that,
+    for it would have to push through the crest.
+    """
+    wanted = np.maximum(depth - radius_mm, 0.0) / _BEARING_SHARE
+    bearing = _least_near(surface, centre - radius_mm * normal, normal, wanted)
+    return np.minimum(depth, radius_mm + _BEARING_SHARE * bearing)
+
+
+def _room(surface: Surface, centre: Array, normal: Array, radius_mm: float) -> Array:
+    """How high (T,) the tool may be lifted before it meets the other wall of a gap, at most `_LIFT_MM`."""
+    wanted = np.full(len(centre), radius_mm + _LIFT_MM)
+    return np.maximum(_least_near(surface, centre - radius_mm * normal, -normal, wanted) - radius_mm, 0.0)
+
+
+def _least_near(surface: Surface, feet: Array, normal: Array, wanted: Array) -> Array:
+    """The least of `Surface.bearing_mm` within 30 ms of every tick, softened, (T,)."""
+    knots = np.arange(0, len(feet), _EVERY)
+    reach = round(0.03 * BASE_HZ / _EVERY)
+    bearing = surface.bearing_mm(feet[knots], normal[knots], wanted[knots])
+    bearing = gaussian_filter1d(minimum_filter1d(bearing, 2 * reach + 1), 0.5 * reach)
+    return np.interp(np.arange(len(feet)), knots, bearing)
 
 
 def shaft_orientation(normals: Array, loop_hz: float) -> Array:

@@ -102,6 +102,33 @@ class Surface:
             centres[left] = touched + radius_mm * out
         return centres
 
+    def pushed_out(self, centres_mm: Array, radius_mm: float) -> Array:
+        """`centres_mm` (K, 3) of a ball; those that sink into the surface are lifted until it rests on it."""
+        places, normals = self.project(centres_mm)
+        height = np.einsum("ij,ij->i", centres_mm - places, normals)
+        return centres_mm + np.maximum(radius_mm - height, 0.0)[:, None] * normals
+
+    def bearing_mm(self, places_mm: Array, normals: Array, depth_mm: Array) -> Array:
+        """How deep (K,) a HIP may go below `places_mm` (K, 3) before another flank is as near as the one above it.
+
+        A ball that touches the place from inside is shrunk until it crosses the surface no more (Ma, Bae and Choi
+        2012): its radius is the distance to the medial axis, where the surface contact point would change flanks.
+        Never more than the wanted `depth_mm` (K,).
+        """
+        radius = depth_mm.copy()
+        left = np.flatnonzero(radius > self.spacing_mm)
+        for _ in range(8):
+            distance, nearest = _nearest(self.tree, places_mm[left] - radius[left, None] * normals[left], 1)
+            crossing = distance[:, 0] < 0.95 * radius[left] - 0.25 * self.spacing_mm
+            left = left[crossing]
+            if len(left) == 0:
+                break
+            chord = places_mm[left] - self.points_mm[nearest[crossing, 0]]
+            rise = np.maximum(np.einsum("ij,ij->i", chord, normals[left]), 1e-12)
+            shrunk = np.einsum("ij,ij->i", chord, chord) / (2.0 * rise)
+            radius[left] = np.clip(shrunk, 0.5 * self.spacing_mm, 0.9 * radius[left])
+        return radius
+
     def near_share(self, places_mm: Array, within_mm: float) -> float:
         """Share of `places_mm` (K, 3) that lie within `within_mm` of the surface."""
         distance, _ = self.tree.query(places_mm, distance_upper_bound=within_mm + self.spacing_mm)

@@ -103,8 +103,10 @@ def walk(
         border = surface.border_mm[near[0]]
         if border < surface.margin_mm:
             away = surface.border_away[near[0]]
-            if direction @ away < 0.4:
-                direction = direction + 0.6 * (1.0 - border / surface.margin_mm) * away
+            near_border = 1.0 - border / surface.margin_mm
+            outward = -(direction @ away)
+            if outward > -0.4:  # halfway into the margin nothing of the outward part is left
+                direction = direction + (0.6 * near_border + max(outward, 0.0) * min(1.0, 2.0 * near_border)) * away
         elif crest > 0.0:
             direction = _along_crest(direction, normal, seen, crest)
         direction = direction - (direction @ normal) * normal
