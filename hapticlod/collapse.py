@@ -126,10 +126,10 @@ def _simplify(points: np.ndarray, faces: np.ndarray, triangles: int) -> np.ndarr
 
     corners = np.ascontiguousarray(faces, dtype=np.int32)
     with _LOCK:
-        _, _, pairs = fast_simplification.simplify(
+        result = fast_simplification.simplify(
             np.ascontiguousarray(points), corners, target_count=min(triangles, len(faces)), return_collapses=True
         )
-    return np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
+    return np.asarray(result[-1], dtype=np.int64).reshape(-1, 2)
 
 
 def _replay(points: np.ndarray, faces: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -211,7 +211,7 @@ def _error(q: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def _face_death(faces: np.ndarray, parent: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """When two corners of each face become one: from both walk up the forest, the earlier move first, till they meet."""
+    """When two corners of each face become one: both walk up the forest, the earlier move first, until they meet."""
     never = int(step.max())
     death = np.full(len(faces), never, dtype=np.int64)
     for k in range(3):

@@ -99,7 +99,7 @@ class Ladder:
         """
         if triangles < 1:
             raise InputError(f"{triangles} triangles", "is less than 1", "ask for a positive number of triangles")
-        for rung in self.rungs:
+        for rung in (*self.rungs, *self._made.values()):
             if rung.triangles == triangles:
                 return rung
         if triangles >= self.scan.triangles:
