@@ -223,7 +223,7 @@ def test_closed_rungs_stay_closed_and_face_outward(sphere: Ladder) -> None:
         normal = np.cross(b - a, c - a)
         assert (np.einsum("ij,ij->i", normal, a + b + c) > 0).all()
         volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6
-        assert volume == pytest.approx(4 / 3 * np.pi * 20**3, rel=7.0 / rung.triangles)
+        assert volume == pytest.approx(4 / 3 * np.pi * 20**3, rel=12.0 / rung.triangles)
         assert rung.deviation.turned_part == 0.0
 
 
