@@ -64,7 +64,7 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
     thinness = np.log(grid.balls[0] / np.array(grid.balls, dtype=np.float64))
 
     def curves(values: Array) -> LadderCurves:
-        return ladder_curves(coarseness, thinness, values)
+        return ladder_curves(coarseness, values)
 
     feel = Feel(**{name: curves(data.fields[name]) for name in Feel.__dataclass_fields__})
     cycle = clock.binned(reference.cycle)[:, -1]
@@ -82,7 +82,7 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
         feel=feel,
         instants=_instants(data, stiffness_n_mm),
         cost=_cost_model(data, curves),
-        log_bytes=ladder_curves(coarseness, np.zeros(1), log_bytes),
+        log_bytes=curves(log_bytes),
         log_cell_edges=jnp.asarray(np.log(np.array(grid.cell_edges))),
         stiffness_n_mm=jnp.asarray(stiffness_n_mm),
         cycles=int(reference.cycle.max(initial=0)) + 1,
@@ -124,16 +124,15 @@ def _cost_model(data: LadderData, curves) -> CostModel:
     share = np.clip((samples - body) / np.maximum(tail - body, 1e-3), 0.0, 1.0)
     cost = np.maximum(data.cell_cost, 1.0)
     factors = np.log(cost / cost[:, :, data.grid.base_cell : data.grid.base_cell + 1])
-    factors = np.stack([_along_rungs(data, factors[..., k]) for k in range(2)])
     touching = data.tour.touching
     return CostModel(
         samples=curves(samples),
         tail_share=curves(share),
         switch=curves(_switch_cost(data.tour.cost_ns, touching)),
         free_switch=curves(_switch_cost(data.tour.cost_ns, ~touching)),
-        cells=cell_factors(np.array(data.grid.cell_edges), factors[0], factors[1]),
+        cells=cell_factors(np.array(data.grid.cell_edges), _along_rungs(data, factors)),
         sizes=jnp.asarray(group_sizes(window), dtype=samples.dtype),
-        spread=_LEAST_SPREAD,
+        spread=jnp.asarray(_LEAST_SPREAD),
     )
 
 

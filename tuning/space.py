@@ -50,7 +50,7 @@ class Space:
     blend_ms: Bounds = (1.0, 120.0)
     triangle_ratio: float = 1.25
     speed_ratio: float = 1.25
-    dwell_ms: float = 10.0
+    dwell_ms: float = 4.0
     most_levels: int = MOST_LEVELS
 
     @property
@@ -84,12 +84,11 @@ class Space:
     def parameters(self, x: Float[Array, " n"], levels) -> Parameters:
         """Differentiable. `levels`: how many are used, an integer scalar."""
         log = self._split(x)
-        edge = jnp.interp(log["triangles"], self.edge_log_triangles, self.edge_log_mm)
         return Parameters(
             levels=jnp.asarray(levels),
             log_triangles=log["triangles"],
             log_balls=log["balls"],
-            log_cell_mm=log["cells"] + edge,
+            log_cell_edges=log["cells"],
             log_speeds=log["speeds"],
             hysteresis=jnp.exp(log["hysteresis"][0]),
             filter_hz=jnp.exp(log["filter"][0]),

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
-from hapticlod.surrogate.ladder_curves import LadderCurves, Position, hermite, locate, pchip_slopes, right_of
+from hapticlod.surrogate.ladder_curves import LadderCurves, Places, cubic_weights, pchip_slopes
 from hapticlod.surrogate.quantile import smooth_max, smooth_quantile
 from hapticlod.surrogate.switching import Switching, affine_scan
 
@@ -52,38 +52,24 @@ class CellFactors(eqx.Module):
     """How cost changes with the cell size, relative to the cells that the ladder was replayed with.
 
     - `log_edges`: (H,) ln of cell size in mean edges, increasing.
-    - `body`, `tail`: (R, B, H) ln factor on a rung's mean and on its dearest ticks.
-    - `body_slopes`, `tail_slopes`: PCHIP slopes along H.
+    - `nodes`: (2, H, R, B, 2) values and slopes of the ln factor on a rung's mean cost [..., 0] and on that of its
+      dearest ticks [..., 1].
     """
 
     log_edges: Float[Array, " H"]
-    body: Float[Array, "R B H"]
-    tail: Float[Array, "R B H"]
-    body_slopes: Float[Array, "R B H"]
-    tail_slopes: Float[Array, "R B H"]
+    nodes: Float[Array, "2 H R B 2"]
 
-    def at(self, rung: Position, subset: Position, log_cell_edges: Float[Array, ""]) -> Float[Array, "2"]:
-        """ln factors (body, tail) of one level."""
-        place = locate(self.log_edges, log_cell_edges)
-        left, right = place.index, right_of(place, self.log_edges.shape[0])
-
-        def corner(r, b):
-            ends = [(v[r, b, left], v[r, b, right]) for v in (self.body, self.tail)]
-            slopes = [(v[r, b, left], v[r, b, right]) for v in (self.body_slopes, self.tail_slopes)]
-            return jnp.stack([hermite(*e, *s, place.fraction, place.width) for e, s in zip(ends, slopes, strict=True)])
-
-        along = [
-            (1 - rung.fraction) * corner(rung.index, b) + rung.fraction * corner(right_of(rung, self.body.shape[0]), b)
-            for b in (subset.index, right_of(subset, self.body.shape[1]))
-        ]
-        return (1 - subset.fraction) * along[0] + subset.fraction * along[1]
+    def levels(self, places: Places, log_cell_edges: Float[Array, " K"]) -> Float[Array, "K 2"]:
+        """ln factors of each level."""
+        along = cubic_weights(self.log_edges, log_cell_edges)
+        return jnp.einsum("kvh,krb,vhrbt->kt", along, places.linear, self.nodes)
 
 
-def cell_factors(cell_edges: NDArray, body: NDArray, tail: NDArray) -> CellFactors:
-    """From ln factors of shape (R, B, H) at `cell_edges` (H,), increasing."""
-    log_edges = np.log(cell_edges)
-    slopes = [np.moveaxis(pchip_slopes(log_edges, np.moveaxis(v, -1, 0)), 0, -1) for v in (body, tail)]
-    return CellFactors(*map(jnp.asarray, (log_edges, body, tail, *slopes)))
+def cell_factors(cell_edges: NDArray, factors: NDArray) -> CellFactors:
+    """From ln factors of shape (R, B, H, 2) at `cell_edges` (H,), increasing."""
+    log_edges, values = np.log(cell_edges), np.moveaxis(factors, 2, 0)
+    nodes = np.stack([values, pchip_slopes(log_edges, values)])
+    return CellFactors(jnp.asarray(log_edges), jnp.asarray(nodes))
 
 
 class CostModel(eqx.Module):
@@ -104,7 +90,7 @@ class CostModel(eqx.Module):
     free_switch: LadderCurves
     cells: CellFactors
     sizes: Float[Array, " S"]
-    spread: float
+    spread: Float[Array, ""]
 
 
 class TickCosts(eqx.Module):
@@ -116,7 +102,7 @@ class TickCosts(eqx.Module):
     log_ns: Float[Array, " n"]
     weights: Float[Array, " n"]
 
-    def quantile_us(self, probability: float, spread: float) -> Float[Array, ""]:
+    def quantile_us(self, probability: float, spread: Float[Array, ""]) -> Float[Array, ""]:
         """Quantile of the loop cost, us."""
         return jnp.exp(smooth_quantile(self.log_ns, self.weights, probability, spread)) * 1e-3
 
@@ -124,32 +110,24 @@ class TickCosts(eqx.Module):
         """Mean loop cost, us."""
         return jnp.sum(self.weights * jnp.exp(self.log_ns)) / jnp.sum(self.weights) * 1e-3
 
-    def share_over(self, budget_us: Float[Array, ""] | float, spread: float) -> Float[Array, ""]:
+    def share_over(self, budget_us: Float[Array, ""] | float, spread: Float[Array, ""]) -> Float[Array, ""]:
         """Share of ticks dearer than the budget."""
         over = jax.nn.sigmoid((self.log_ns - jnp.log(budget_us * 1e3)) / spread)
         return jnp.sum(self.weights * over) / jnp.sum(self.weights)
 
 
-def level_samples(
-    model: CostModel, rungs: Position, subsets: Position, log_cell_edges: Float[Array, " K"]
-) -> Float[Array, "K windows samples"]:
-    """ln ns of every level's samples at its cell size."""
-    base = model.samples.levels(rungs, subsets)
-    share = jnp.clip(model.tail_share.levels(rungs, subsets), 0.0, 1.0)
-    factors = jax.vmap(model.cells.at)(rungs, subsets, log_cell_edges)[:, :, None, None]
-    return base + (1 - share) * factors[:, 0] + share * factors[:, 1]
-
-
 def tick_costs(
     model: CostModel,
-    rungs: Position,
-    subsets: Position,
+    places: Places,
     log_cell_edges: Float[Array, " K"],
     switching: Switching,
     contact: Float[Array, " bins"],
 ) -> tuple[TickCosts, Float[Array, "K windows samples"], Float[Array, "K windows"]]:
-    """The mixture over levels and switches; also each level's samples and its weight in every window."""
-    log_ns = level_samples(model, rungs, subsets, log_cell_edges)
+    """The mixture over levels and switches; also each level's samples (ln ns) and its weight in every window."""
+    share = jnp.clip(model.tail_share.levels(places), 0.0, 1.0)
+    factors = model.cells.levels(places, log_cell_edges)
+    body, tail = factors[:, 0, None, None], factors[:, 1, None, None]
+    log_ns = model.samples.levels(places) + body + share * (tail - body)
     levels, windows = log_ns.shape[:2]
     weights = jnp.mean(switching.weights.reshape(levels, windows, -1), axis=2)
     shares = jnp.clip(weights, 0.0, None)[:, :, None] * model.sizes
@@ -157,10 +135,9 @@ def tick_costs(
     none = jnp.zeros_like(switching.up[:1])
     entering = jnp.concatenate([none, switching.up]) + jnp.concatenate([switching.down, none])
     in_contact, free = jnp.sum(entering * contact, axis=1), jnp.sum(entering * (1 - contact), axis=1)
-    tail = jax.vmap(model.cells.at)(rungs, subsets, log_cell_edges)[:, 1:]
     parts, counts = [log_ns.reshape(-1)], [shares.reshape(-1)]
-    for curve, flow in ((model.switch, in_contact), (model.free_switch, free)):
-        events = curve.levels(rungs, subsets) + tail
+    for curves, flow in ((model.switch, in_contact), (model.free_switch, free)):
+        events = curves.levels(places) + factors[:, 1:]
         parts.append(events.reshape(-1))
         counts.append(jnp.broadcast_to(flow[:, None] / events.shape[1], events.shape).reshape(-1))
     return TickCosts(jnp.concatenate(parts), jnp.concatenate(counts)), log_ns, weights
@@ -171,11 +148,12 @@ def longest_run(
     weights: Float[Array, "K windows"],
     sizes: Float[Array, " S"],
     budget_us: Float[Array, ""] | float,
-    spread: float,
+    spread: Float[Array, ""],
 ) -> Float[Array, ""]:
     """Longest expected run of ticks over budget.
 
-    Within a window the order of ticks is not kept; a window whose share of misses is p continues a run with weight p.
+    Within a window the order of ticks is not kept; a window whose share of misses is p continues a run with weight
+    p^ticks.
     """
     over = jax.nn.sigmoid((log_ns - jnp.log(budget_us * 1e3)) / spread)
     share = jnp.sum(over * sizes, axis=2) / jnp.sum(sizes)

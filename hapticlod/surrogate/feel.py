@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hapticlod.perception import Perception
-from hapticlod.surrogate.ladder_curves import Position, locate, right_of
+from hapticlod.surrogate.ladder_curves import Places, linear_weights
 from hapticlod.surrogate.measurement import Instants
 from hapticlod.surrogate.parameters import Parameters
 
@@ -44,20 +44,10 @@ def _norm(vector: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
     return jnp.sqrt(jnp.sum(vector**2, axis=-1) + 1e-16)
 
 
-def _between(values: Float[Array, "R B *s"], rung: Position, subset: Position) -> Float[Array, "2 *s"]:
-    """A quantity at the two rungs beside a level, for the level's number of balls."""
-    rungs = jnp.stack([rung.index, right_of(rung, values.shape[0])])
-    thin = values[rungs, subset.index]
-    if values.shape[1] == 1:
-        return thin
-    return (1 - subset.fraction) * thin + subset.fraction * values[rungs, right_of(subset, values.shape[1])]
-
-
 def switch_events(
     instants: Instants,
     parameters: Parameters,
-    rungs: Position,
-    subsets: Position,
+    places: Places,
     edge_mm: Float[Array, " K"],
     up: Float[Array, "J I"],
     down: Float[Array, "J I"],
@@ -67,54 +57,47 @@ def switch_events(
     """Events of all pairs of neighbouring levels.
 
     Between two measured rungs a level is one or the other, with probability: what a switch does is not linear in the
-    offset, and the mean of two unlike surfaces would be smoother than either.
+    offset, and the mean of two unlike surfaces would be smoother than either. So E runs over (direction, pair of
+    levels, rung of the finer level, rung of the coarser).
 
     **Arguments:**
 
     - `up`, `down`: flow i -> i + 1 and back, summed over each instant's bins.
     """
     l_in, l_out = jnp.exp(parameters.log_l_in), jnp.exp(parameters.log_l_out)
-    bound = jnp.maximum(l_in, l_out)
     blend_ticks = parameters.blend_s / tick_s
     ramp_ticks = jnp.sqrt(1.0 + blend_ticks**2)
-    window = locate(instants.log_windows, jnp.log1p(blend_ticks))
-    wider = right_of(window, instants.log_windows.shape[0])
+    window = linear_weights(instants.log_windows, jnp.log1p(blend_ticks)[None])[0]
+    whole = places.ends / jnp.maximum(places.shares, 1e-12)[:, :, None, None]
+    offset = jnp.tensordot(whole, instants.offset_n, axes=2)  # (K, 2, I, 3)
+    rough = jnp.tensordot(whole, jnp.tensordot(window, instants.rough_n, axes=(0, 2)), axes=2)  # (K, 2, I)
 
-    def ends(rung, subset):
-        offset = _between(instants.offset_n, rung, subset)
-        rough = _between(instants.rough_n, rung, subset)
-        rough = (1 - window.fraction) * rough[:, window.index] + window.fraction * rough[:, wider]
-        return offset, rough, jnp.stack([1 - rung.fraction, rung.fraction])
-
-    offsets, roughs, shares = jax.vmap(ends)(rungs, subsets)  # (K, 2, I, 3), (K, 2, I), (K, 2)
+    finer, coarser = (slice(None, -1), slice(None), None), (slice(1, None), None, slice(None))
+    fine, coarse = jnp.broadcast_arrays(offset[finer], offset[coarser])  # (J, 2, 2, I, 3)
+    fine_rough, coarse_rough = jnp.broadcast_arrays(rough[finer], rough[coarser])
+    old, new = jnp.stack([fine, coarse]), jnp.stack([coarse, fine])
+    rough = jnp.stack([coarse_rough, fine_rough])
+    edge = jnp.stack([edge_mm[1:], edge_mm[:-1]])
+    share = places.shares[finer] * places.shares[coarser]  # (J, 2, 2)
+    flow = jnp.stack([up, down])[:, :, None, None] * share[..., None] * instants.contact
 
     def inside(length, limit):
         return jax.nn.sigmoid((limit - length) / (_SOFT_SHARE * limit))
 
-    def pair(old, new, rough, share, flow, edge):
-        """old, new: (I, 3)."""
-        moved = new - old
-        force = instants.force_n + old
-        along_mm = jnp.sum(moved * force, axis=1) / _norm(force) / stiffness_n_mm
-        found = inside(along_mm, l_out) * inside(-along_mm, l_in)
-        lost = (1 - found) * (1 - inside(jnp.abs(along_mm), bound))
-        reference = _norm(instants.step_n)
-        ramp = jnp.maximum(_norm(moved / ramp_ticks + instants.step_n) - reference, 0.0)
-        # The jump is the largest change until the blend ends: its own ramp, or the new level's facets.
-        ramp = jnp.sqrt(ramp**2 + rough**2 + 1e-16)
-        jump = (1 - lost) * ramp + lost * jnp.maximum(_norm(force) - reference, 0.0)
-        distance_sq = jnp.sum(moved**2, axis=1) * (1 - lost)
-        cross = -jnp.sum(new * moved, axis=1) * (1 - lost)
-        return Switches(share * flow * instants.contact, jump, distance_sq, cross, lost, edge[None])
-
-    events = []
-    for a in range(2):
-        for b in range(2):
-            share = shares[:-1, a] * shares[1:, b]
-            low, high = offsets[:-1, a], offsets[1:, b]
-            events.append(jax.vmap(pair)(low, high, roughs[1:, b], share, up, edge_mm[1:]))
-            events.append(jax.vmap(pair)(high, low, roughs[:-1, a], share, down, edge_mm[:-1]))
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *events)
+    moved, force = new - old, instants.force_n + old
+    size, reference = _norm(force), _norm(instants.step_n)
+    along_mm = jnp.sum(moved * force, axis=-1) / size / stiffness_n_mm
+    found = inside(along_mm, l_out) * inside(-along_mm, l_in)
+    lost = (1 - found) * (1 - inside(jnp.abs(along_mm), jnp.maximum(l_in, l_out)))
+    ramp = jnp.maximum(_norm(moved / ramp_ticks + instants.step_n) - reference, 0.0)
+    # The jump is the largest change until the blend ends: its own ramp, or the new level's facets.
+    ramp = jnp.sqrt(ramp**2 + rough**2 + 1e-16)
+    jump = (1 - lost) * ramp + lost * jnp.maximum(size - reference, 0.0)
+    distance_sq = jnp.sum(moved**2, axis=-1) * (1 - lost)
+    cross = -jnp.sum(new * moved, axis=-1) * (1 - lost)
+    events = [x.reshape(-1, x.shape[-1]) for x in (flow, jump, distance_sq, cross, lost)]
+    entered = jnp.broadcast_to(edge[:, :, None, None], flow.shape[:-1]).reshape(-1, 1)
+    return Switches(*events, entered)
 
 
 def noticed_switches(switches: Switches, instants: Instants, perception: Perception) -> Float[Array, ""]:

@@ -2,17 +2,17 @@
 
 The ladder is measured at R rungs and B nested subsets of the tool's balls. In between, per-tick quantities follow
 monotone cubic Hermite curves (PCHIP: Fritsch & Butland 1984, as scipy's PchipInterpolator) in coarseness
-c = ln(N_0 / N), and straight lines in ln P. Slopes are computed once, so that a look-up gathers two rungs and the
-derivative with respect to c needs no scatter.
+c = ln(N_0 / N), and straight lines in ln P. Slopes are computed once; what depends on a configuration is then a small
+matrix of weights, the same for every quantity, and a look-up is one matrix product: quick to compile and to
+differentiate.
 """
 
 from __future__ import annotations
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 
@@ -49,83 +49,91 @@ def pchip_slopes(knots: NDArray, values: NDArray) -> NDArray:
     return np.concatenate([first[None], inner, last[None]])
 
 
-class Position(eqx.Module):
-    """Where between two knots a coordinate lies.
-
-    - `index`: left knot.
-    - `fraction`: 0 at the left knot, 1 at the right one.
-    - `width`: distance between the two (1 where there is only one knot).
-    """
-
-    index: Int[Array, "*shape"]
-    fraction: Float[Array, "*shape"]
-    width: Float[Array, "*shape"]
+def _interval(knots: Float[Array, " n"], x: Float[Array, " K"]):
+    """One-hot interval (K, n - 1), place in it (K, 1) and width (K, 1); outside the knots the nearest end."""
+    x = jnp.clip(x, knots[0], knots[-1])[:, None]
+    index = jnp.sum(x >= knots[None, 1:-1], axis=1, keepdims=True)
+    chosen = jnp.where(jnp.arange(knots.shape[0] - 1) == index, 1.0, 0.0).astype(knots.dtype)
+    width = chosen @ jnp.diff(knots)[:, None]
+    return chosen, (x - chosen @ knots[:-1, None]) / width, width
 
 
-def locate(knots: Float[Array, " n"], x: Float[Array, "*shape"]) -> Position:
-    """Finds x among increasing knots; outside them the nearest end is used."""
-    count = knots.shape[0]
-    if count == 1:
-        return Position(jnp.zeros(jnp.shape(x), int), jnp.zeros_like(x), jnp.ones_like(x))
-    x = jnp.clip(x, knots[0], knots[-1])
-    index = jnp.clip(jnp.searchsorted(knots, x, side="right") - 1, 0, count - 2)
-    width = knots[index + 1] - knots[index]
-    return Position(index, (x - knots[index]) / width, width)
+def _spread(chosen: Float[Array, "K m"], left: Float[Array, "K 1"], right: Float[Array, "K 1"]) -> Float[Array, "K n"]:
+    """Weights of an interval's two ends as weights of all knots."""
+    return jnp.pad(chosen * left, ((0, 0), (0, 1))) + jnp.pad(chosen * right, ((0, 0), (1, 0)))
 
 
-def right_of(position: Position, count: int) -> Int[Array, "*shape"]:
-    """Index of the right knot (the same one where there is only one)."""
-    return jnp.minimum(position.index + 1, count - 1)
+def ends_weights(knots: Float[Array, " n"], x: Float[Array, " K"]) -> Float[Array, "K 2 n"]:
+    """One-hot weights of the knots left and right of x, times how near x is to each: they sum to 1."""
+    if knots.shape[0] == 1:
+        return jnp.ones((x.shape[0], 2, 1), knots.dtype) * jnp.array([1.0, 0.0])[None, :, None]
+    chosen, place, _ = _interval(knots, x)
+    zero = jnp.zeros_like(place)
+    return jnp.stack([_spread(chosen, 1 - place, zero), _spread(chosen, zero, place)], axis=1)
 
 
-def hermite(
-    left: Float[Array, " *s"], right: Float[Array, " *s"], left_slope: Float[Array, " *s"],
-    right_slope: Float[Array, " *s"], fraction: Float[Array, ""], width: Float[Array, ""],
-) -> Float[Array, " *s"]:  # fmt: skip
-    """The cubic with these ends and slopes."""
-    t = fraction
+def linear_weights(knots: Float[Array, " n"], x: Float[Array, " K"]) -> Float[Array, "K n"]:
+    """Weights of straight-line interpolation."""
+    return jnp.sum(ends_weights(knots, x), axis=1)
+
+
+def cubic_weights(knots: Float[Array, " n"], x: Float[Array, " K"]) -> Float[Array, "K 2 n"]:
+    """Weights of cubic Hermite interpolation, of values [:, 0] and of slopes [:, 1]."""
+    if knots.shape[0] == 1:
+        ones = jnp.ones((x.shape[0], 1), knots.dtype)
+        return jnp.stack([ones, 0 * ones], axis=1)
+    chosen, t, width = _interval(knots, x)
     square, cube = t * t, t * t * t
     rise = 3 * square - 2 * cube
-    return (
-        (1 - rise) * left
-        + rise * right
-        + width * ((cube - 2 * square + t) * left_slope + (cube - square) * right_slope)
-    )
+    values = _spread(chosen, 1 - rise, rise)
+    slopes = _spread(chosen, width * (cube - 2 * square + t), width * (cube - square))
+    return jnp.stack([values, slopes], axis=1)
 
 
 class LadderCurves(eqx.Module):
-    """Quantities measured on R rungs x B ball subsets, any trailing shape.
+    """A quantity measured on R rungs x B ball subsets, with any trailing shape: values [0] and slopes [1]."""
 
-    - `coarseness`: (R,) ln(N_0 / N), increasing from 0.
-    - `thinness`: (B,) ln(P_0 / P), increasing from 0.
-    - `values`, `slopes`: (R, B, ...).
+    nodes: Float[Array, "2 R B *trailing"]
+
+    def levels(self, places: Places) -> Float[Array, "K *trailing"]:
+        """The quantity at each level's place."""
+        return jnp.tensordot(places.cubic, self.nodes, axes=3)
+
+
+class Places(eqx.Module):
+    """Where K levels lie on the measured ladder, as weights.
+
+    - `cubic`: (K, 2, R, B) for `LadderCurves`.
+    - `ends`: (K, 2, R, B): the measured rung on either side, times its share; balls interpolated.
+    - `linear`: (K, R, B).
+    - `shares`: (K, 2) of the two rungs.
     """
 
-    coarseness: Float[Array, " R"]
-    thinness: Float[Array, " B"]
-    values: Float[Array, "R B *trailing"]
-    slopes: Float[Array, "R B *trailing"]
-
-    def at(self, rung: Position, subset: Position) -> Float[Array, "*trailing"]:
-        """The quantity at one level's place on the ladder (scalar positions)."""
-        low, high = rung.index, right_of(rung, self.values.shape[0])
-        thin, thinner = subset.index, right_of(subset, self.values.shape[1])
-
-        def curve(column):
-            ends = self.values[low, column], self.values[high, column]
-            slopes = self.slopes[low, column], self.slopes[high, column]
-            return hermite(*ends, *slopes, rung.fraction, rung.width)
-
-        if self.values.shape[1] == 1:
-            return curve(thin)
-        return (1 - subset.fraction) * curve(thin) + subset.fraction * curve(thinner)
-
-    def levels(self, rungs: Position, subsets: Position) -> Float[Array, "K *trailing"]:
-        """`at` for K levels."""
-        return jax.vmap(self.at)(rungs, subsets)
+    cubic: Float[Array, "K 2 R B"]
+    ends: Float[Array, "K 2 R B"]
+    linear: Float[Array, "K R B"]
+    shares: Float[Array, "K 2"]
 
 
-def ladder_curves(coarseness: NDArray, thinness: NDArray, values: NDArray) -> LadderCurves:
+def places(
+    coarseness: Float[Array, " R"],
+    thinness: Float[Array, " B"],
+    level_coarseness: Float[Array, " K"],
+    level_thinness: Float[Array, " K"],
+) -> Places:
+    """Weights of levels on a ladder with knots `coarseness` = ln(N_0 / N) and `thinness` = ln(P_0 / P)."""
+    balls = linear_weights(thinness, level_thinness)
+    ends = ends_weights(coarseness, level_coarseness)
+    cubic = cubic_weights(coarseness, level_coarseness)
+    spread = lambda weights: weights[..., None] * balls[:, None, None, :]
+    return Places(
+        cubic=spread(cubic),
+        ends=spread(ends),
+        linear=jnp.sum(spread(ends), axis=1),
+        shares=jnp.sum(ends, axis=2),
+    )
+
+
+def ladder_curves(coarseness: NDArray, values: NDArray) -> LadderCurves:
     """Curves through measured values of shape (R, B, ...)."""
-    slopes = pchip_slopes(coarseness, values)
-    return LadderCurves(jnp.asarray(coarseness), jnp.asarray(thinness), jnp.asarray(values), jnp.asarray(slopes))
+    return LadderCurves(jnp.asarray(np.stack([values, pchip_slopes(coarseness, values)])))

@@ -11,7 +11,8 @@ UNREACHED_LOG_SPEED = 40.0
 
 
 class Parameters(eqx.Module):
-    """One configuration of up to K levels, finest first. Logarithms are natural, of mm, mm/s and counts.
+    """One configuration of up to K levels, finest first. Logarithms are natural, of mm, mm/s and counts; cell sizes are
+    in mean edges of the level.
 
     Entries of levels that are not used still hold numbers (those of the last used level do); their speeds are out of
     reach and their weight in every metric is 0.
@@ -20,7 +21,7 @@ class Parameters(eqx.Module):
     levels: Int[Array, ""]
     log_triangles: Float[Array, " K"]
     log_balls: Float[Array, " K"]
-    log_cell_mm: Float[Array, " K"]
+    log_cell_edges: Float[Array, " K"]
     log_speeds: Float[Array, " J"]
     hysteresis: Float[Array, ""]
     filter_hz: Float[Array, ""]

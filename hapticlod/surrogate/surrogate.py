@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from hapticlod.surrogate.cost import longest_run, tick_costs
 from hapticlod.surrogate.feel import blend_band_square, blend_square, noticed_switches, switch_events
-from hapticlod.surrogate.ladder_curves import LadderCurves, Position, locate, right_of
+from hapticlod.surrogate.ladder_curves import LadderCurves, Places, linear_weights, places
 from hapticlod.surrogate.measurement import LadderMeasurement
 from hapticlod.surrogate.parameters import Parameters
 from hapticlod.surrogate.quantile import smooth_max, smooth_quantile
@@ -23,25 +23,21 @@ SHARPNESS = 20.0
 Metrics = dict[str, Float[Array, ""]]
 
 
-def level_places(
-    measured: LadderMeasurement, parameters: Parameters
-) -> tuple[Position, Position, Float[Array, " K"], Float[Array, " K"]]:
-    """Where each level lies on the ladder and in the tool's subsets, its ln mean edge, its ln cell size in edges."""
-    rungs = jax.vmap(lambda x: locate(measured.coarseness, x))(measured.log_finest - parameters.log_triangles)
-    subsets = jax.vmap(lambda x: locate(measured.thinness, x))(measured.log_all_balls - parameters.log_balls)
-    finer, coarser = measured.log_edge_mm[rungs.index], measured.log_edge_mm[right_of(rungs, len(measured.log_edge_mm))]
-    log_edge = (1 - rungs.fraction) * finer + rungs.fraction * coarser
-    return rungs, subsets, log_edge, parameters.log_cell_mm - log_edge
+def level_places(measured: LadderMeasurement, parameters: Parameters) -> Places:
+    """Where each level lies on the ladder and among the tool's subsets."""
+    return places(
+        measured.coarseness,
+        measured.thinness,
+        measured.log_finest - parameters.log_triangles,
+        measured.log_all_balls - parameters.log_balls,
+    )
 
 
 def memory_mb(measured: LadderMeasurement, parameters: Parameters) -> Float[Array, ""]:
     """Resident bytes of the levels, MB."""
-    rungs, subsets, _, log_cell_edges = level_places(measured, parameters)
-    curves = measured.log_bytes.levels(rungs, jax.tree.map(jnp.zeros_like, subsets))
-    place = jax.vmap(lambda x: locate(measured.log_cell_edges, x))(log_cell_edges)
-    rows = jnp.arange(curves.shape[0])
-    left, right = curves[rows, place.index], curves[rows, right_of(place, len(measured.log_cell_edges))]
-    log_bytes = (1 - place.fraction) * left + place.fraction * right
+    rungs = jnp.sum(level_places(measured, parameters).cubic, axis=3)
+    cells = linear_weights(measured.log_cell_edges, parameters.log_cell_edges)
+    log_bytes = jnp.einsum("kvr,kh,vrh->k", rungs, cells, measured.log_bytes.nodes[:, :, 0])
     return jnp.sum(parameters.used * jnp.exp(log_bytes)) / 1e6
 
 
@@ -62,7 +58,8 @@ def predict(
 
     **Returns:** scalars by PERCEPTION's keys.
     """
-    rungs, subsets, log_edge, log_cell_edges = level_places(measured, parameters)
+    where = level_places(measured, parameters)
+    edge_mm = jnp.exp(jnp.sum(where.linear, axis=2) @ measured.log_edge_mm)
     tick_s, blend_s, instants = measured.tick_s, parameters.blend_s, measured.instants
     speed = filtered_speed_mm_s(measured.velocity_mm_s, measured.starts, parameters.filter_hz, tick_s)
     switching = soft_switching(
@@ -74,7 +71,7 @@ def predict(
     per_instant = ticks_per_bin * bins_per_instant
 
     def levels(curves: LadderCurves) -> Float[Array, "K n"]:
-        return curves.levels(rungs, subsets)
+        return curves.levels(where)
 
     def mixed(curves: LadderCurves) -> Float[Array, " n"]:
         return jnp.sum(weights * levels(curves), axis=0)
@@ -86,7 +83,7 @@ def predict(
         return x.reshape(*x.shape[:-1], -1, bins_per_instant).sum(axis=-1)
 
     events = switch_events(
-        instants, parameters, rungs, subsets, jnp.exp(log_edge), grouped(switching.up), grouped(switching.down),
+        instants, parameters, where, edge_mm, grouped(switching.up), grouped(switching.down),
         measured.stiffness_n_mm, tick_s,
     )  # fmt: skip
     flow = jnp.sum(events.flow)
@@ -106,7 +103,7 @@ def predict(
     band = total(mixed(feel.band_sq)) + blend_band_square(events, blend_s, measured.perception, tick_s)
 
     in_contact = jnp.repeat(instants.contact, bins_per_instant)
-    costs, samples, windows = tick_costs(measured.cost, rungs, subsets, log_cell_edges, switching, in_contact)
+    costs, samples, windows = tick_costs(measured.cost, where, parameters.log_cell_edges, switching, in_contact)
     spread = measured.cost.spread
     shares = jnp.clip(weights, 0.0, None)
     peaks, depths = levels(feel.peak_n).reshape(-1), levels(feel.depth_mm).reshape(-1)
