@@ -30,6 +30,7 @@ TICK_ERRORS: Final = (
     "slew_limited",
     "force_not_finite",
     "start_inside",
+    "turn_held",
 )
 """Names of the bits of a record's ``errors``, lowest first."""
 

@@ -1,7 +1,7 @@
 """An independent answer to "where is the contact?": float64, exhaustive over triangles, nothing shared with the core.
 
 The definition it implements (docs/contact.md): the tool's reference point keeps the distance
-kept = max(radius, crack / 2) + skin from every triangle, for each of its balls. One step: planes of everything
+kept = max(radius, crack) + skin from every triangle, for each of its balls. One step: planes of everything
 touched, the point nearest to the HIP behind none of them, a straight sweep to it that stops at the first touch.
 Touches are roots of the exact offset surfaces (face planes, edge cylinders, corner spheres); the nearest point is
 found by trying every set of up to three planes. Steps repeat until nothing moves.
@@ -142,7 +142,7 @@ class Oracle:
         self.skin = SKIN_OF_EXTENT * float(np.linalg.norm(used.max(0) - used.min(0)))
         self.offsets = np.asarray(balls, dtype=np.float64)[:, :3]
         self.radii = np.asarray(balls, dtype=np.float64)[:, 3]
-        self.kept = np.maximum(self.radii, 0.5 * crack_mm) + self.skin
+        self.kept = np.maximum(self.radii, crack_mm) + self.skin
         self.middle = self.triangles.mean(axis=1)
         self.size = np.linalg.norm(self.triangles - self.middle[:, None], axis=2).max(axis=1)
 
@@ -230,6 +230,10 @@ class Oracle:
                 settled = True
                 break
         scp, active = nearest_point(normals, offsets - slacks, hip, 1e-5 * self.skin)
+        if scp is not None and len(active):
+            # No further than a cube's corner needs: between steep planes the way back is long and no nearer.
+            most, way = 1.75 * slacks[list(active)].max() + self.skin, float(np.linalg.norm(scp - x))
+            scp = x + (scp - x) * min(1.0, most / way) if way > 0.0 else scp
         return Answer(x if scp is None else scp, x, settled and scp is not None, len(active), k + 1)
 
     def unheld(self, scp: np.ndarray, hip: np.ndarray) -> float:

@@ -169,8 +169,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
     out.converged = false;
     // Far enough for about two ticks at this speed: a longer reach gathers more than it saves.
     const double slack = 2.0 * tolerances_.skin;
-    const double wanted =
-        std::max(std::min(3.0 * motion_mm, 4.0 * cell_mm_) + 0.15 * mean_edge_mm_, 16.0 * tolerances_.skin);
+    double wanted = std::max(std::min(3.0 * motion_mm, 4.0 * cell_mm_) + 0.15 * mean_edge_mm_, 16.0 * tolerances_.skin);
     if (candidates_.valid() && norm(x_ - candidates_.centre()) + 1.1 * motion_mm > candidates_.reach() - slack)
         candidates_.invalidate();
     Slide slide;
@@ -182,6 +181,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         if (!candidates_.valid() || norm(x_ - candidates_.centre()) > 0.75 * (candidates_.reach() - slack)) {
             const double granted = candidates_.gather(x_, wanted, balls, counters);
             if (granted < wanted) counters.errors |= kErrCandidates;
+            wanted = std::min(2.0 * wanted, 64.0 * cell_mm_);  // a long way to go needs longer steps
             path_ = 0.0;
             out.active = 0;  // planes of the last step are in the old frame
             if (granted <= 2.0 * slack) {
@@ -195,14 +195,22 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         local_ = x_ - centre;
         collect_touching(balls, counters);
         // Two faces of a shallow crease can send the point to and fro: then both count at once.
+        const int touched = planes_.count;
         if (k >= 2 && norm2(x_ - before_last) < 0.25 * norm2(x_ - last))
             for (int i = 0; i < out.active && planes_.count < kMaxPlanes; ++i)
                 planes_.planes[planes_.count++] = out.planes[i];
         before_last = last;
         last = x_;
-        const PlaneSolution solution = nearest_feasible(planes_, hip - centre, false, 1e-3 * tolerances_.settled);
+        PlaneSolution solution = nearest_feasible(planes_, hip - centre, false, 1e-3 * tolerances_.settled);
         Vec3 step = solution.y - local_;
         double length = norm(step);
+        if (planes_.count > touched && length <= tolerances_.settled) {
+            // Only what is touched may hold the tool at the end.
+            planes_.count = touched;
+            solution = nearest_feasible(planes_, hip - centre, false, 1e-3 * tolerances_.settled);
+            step = solution.y - local_;
+            length = norm(step);
+        }
         out.active = solution.active;
         for (int i = 0; i < solution.active; ++i) {
             out.planes[i] = planes_.planes[solution.index[i]];
@@ -252,7 +260,13 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
     free_distance_ = planes_.count > 0 ? 0.0 : candidates_.clearance_bound(x_);
     // The same planes without the skin: what the surface itself allows.
     const PlaneSolution final = nearest_feasible(planes_, hip - centre, true, 1e-3 * tolerances_.settled);
-    out.scp = final.y + centre;
+    // Between steep planes the way back to the surface is long without being nearer to it: at a cube's corner it is
+    // sqrt(3) times the slack, and no contact that the tool's radius resolves needs more.
+    double slack_mm = 0.0;
+    for (int i = 0; i < final.active; ++i) slack_mm = std::max(slack_mm, planes_.planes[final.index[i]].slack);
+    const Vec3 back = final.y - local_;
+    const double most = 1.75 * slack_mm + tolerances_.skin, way = norm(back);
+    out.scp = centre + (final.active > 0 && way > most ? local_ + back * (most / way) : final.y);
     out.active = final.active;
     for (int i = 0; i < final.active; ++i) {
         out.planes[i] = planes_.planes[final.index[i]];

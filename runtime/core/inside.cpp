@@ -68,7 +68,7 @@ SurfaceSide surface_side(ContactSolver& solver, std::span<const SolverBall> ball
     constexpr std::size_t kMostAround = 64;  // triangles around one vertex
     std::array<std::uint32_t, kMostAround> counted;
     std::size_t around = 0;
-    for (double c = std::min(solver.cell_mm(), bound_mm);; c = std::min(2.0 * c, bound_mm)) {
+    for (double c = std::min(solver.cell_mm(), bound_mm);; c = std::min(1.4 * c, bound_mm)) {
         const double granted = candidates.gather(x, c, balls, counters);
         double least = 1e300;
         for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {

@@ -67,6 +67,7 @@ enum TickError : std::uint32_t {
     kErrSlewLimited = 1u << 7,     // slew limit reached
     kErrForceNotFinite = 1u << 8,  // force was not finite: 0 sent
     kErrStartInside = 1u << 9,     // started in overlap: engaged softly
+    kErrTurnHeld = 1u << 10,       // a rotation would have passed through the surface: orientation held
 };
 
 // What one tick gave. Also the golden record of a bundle and the telemetry row.

@@ -26,6 +26,7 @@ void Occupancy::build(const LevelView& level) {
 
 ActiveLevel::ActiveLevel(const LevelView& level) : view(level) {
     occupancy.build(level);
+    closed = std::find(level.adjacency.begin(), level.adjacency.end(), kNoNeighbour) == level.adjacency.end();
     spheres.reserve(level.blocks.size());
     for (const TriBlock& block : level.blocks) {
         float lo[3], hi[3];

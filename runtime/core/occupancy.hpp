@@ -64,6 +64,7 @@ struct ActiveLevel {
     LevelView view;
     Occupancy occupancy;
     std::vector<Sphere> spheres;  // one per block
+    bool closed = false;          // no open border: what is behind the surface is inside
 
     explicit ActiveLevel(const LevelView& level);
     [[nodiscard]] std::size_t bytes() const { return occupancy.bytes() + spheres.size() * sizeof(Sphere); }

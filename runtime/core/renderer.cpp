@@ -11,6 +11,7 @@
 #include "core/force_gate.hpp"
 #include "core/inside.hpp"
 #include "core/mapping.hpp"
+#include "core/rotation.hpp"
 #include "core/speed.hpp"
 #include "core/surface.hpp"
 #include "core/switching.hpp"
@@ -22,6 +23,7 @@ struct Renderer::State {
     std::vector<ActiveLevel> levels;
     std::vector<Vec3> tool_centres;
     std::vector<SolverBall> balls;
+    std::vector<Vec3> turned;  // scratch: offsets of the next orientation
     ToolTree tree;
     Tolerances tolerances;
     double extent_mm = 0.0;
@@ -35,8 +37,8 @@ struct Renderer::State {
 
     bool started = false;
     double time_s = 0.0;
-    Vec3 hip;  // relative to the origin
-    double orientation[4] = {1.0, 0.0, 0.0, 0.0};
+    Vec3 hip;                                // relative to the origin
+    double asked[4] = {1.0, 0.0, 0.0, 0.0};  // orientation of the last pose
     Contact contact;
     ContactMemory memory;
 
@@ -46,6 +48,7 @@ struct Renderer::State {
     void forget();
     double accept_pose(const Pose& pose, double time_s, TickCounters& counters);
     void turn(const double q[4]);
+    bool turn_in_contact(const double q[4], TickCounters& counters);
     void start(TickCounters& counters);
     MappingOutcome switch_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
     MappingOutcome change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
@@ -81,9 +84,10 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
         if (!centre.finite() || !(b.radius_mm >= 0.0) || !std::isfinite(b.radius_mm))
             return "a ball of the tool is not finite or has a negative radius";
         s.tool_centres.push_back(centre);
-        const double kept = std::max(b.radius_mm, 0.5 * config.crack_mm) + s.tolerances.skin;
+        const double kept = std::max(b.radius_mm, config.crack_mm) + s.tolerances.skin;
         s.balls.push_back({centre, b.radius_mm, kept});
     }
+    s.turned.resize(s.balls.size());
     s.tree.build(s.tool_centres, s.balls);
     s.solver.allocate(s.tree, s.balls.size());
     s.mapper.allocate();
@@ -100,6 +104,7 @@ void Renderer::State::forget() {
     contact = {};
     const double identity[4] = {1.0, 0.0, 0.0, 0.0};
     turn(identity);
+    std::copy(identity, identity + 4, asked);
     solver.bind(levels[0], best_kernels(), tolerances);
 }
 
@@ -121,8 +126,16 @@ void Renderer::State::turn(const double q[4]) {
         balls[i].offset = to;
     }
     tree.turn(q);
-    std::copy(q, q + 4, orientation);
     if (moved > 0.0) solver.candidates().rotated(moved);
+}
+
+// Turns the tool where it is; whatever a ball would pass through moves the tool instead. False: not resolved, held.
+bool Renderer::State::turn_in_contact(const double q[4], TickCounters& counters) {
+    for (std::size_t i = 0; i < balls.size(); ++i) turned[i] = rotate(q, tool_centres[i]);
+    const auto used = tool(level_switch.level());
+    if (!make_way_for_turn(solver, used, std::span<const Vec3>(turned).first(used.size()), counters)) return false;
+    turn(q);
+    return true;
 }
 
 // Takes position, orientation and time where they are valid, and says how long the period was.
@@ -147,11 +160,15 @@ double Renderer::State::accept_pose(const Pose& pose, double now_s, TickCounters
         forget();
     }
     hip = position;
-    if (!std::equal(q, q + 4, orientation)) {
+    if (!std::equal(q, q + 4, asked)) {
         const double scale = 1.0 / std::sqrt(length2);
         const double unit[4] = {q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale};
-        turn(unit);
-        std::copy(q, q + 4, orientation);
+        std::copy(q, q + 4, asked);
+        if (!started) {
+            turn(unit);
+        } else if (!turn_in_contact(unit, counters)) {
+            counters.errors |= kErrTurnHeld;
+        }
     }
     return dt;
 }
@@ -159,11 +176,13 @@ double Renderer::State::accept_pose(const Pose& pose, double now_s, TickCounters
 // First tick: where the tool overlaps the surface, contact begins at the nearest place outside it, softly.
 void Renderer::State::start(TickCounters& counters) {
     solver.place(hip);
-    const SurfaceSide side = surface_side(solver, tool(0), 0.05 * extent_mm, counters);
+    // Behind an open sheet is a place to be; inside a closed body is not, however deep.
+    const double bound = (levels[0].closed ? 1.0 : 0.05) * extent_mm;
+    const SurfaceSide side = surface_side(solver, tool(0), bound, counters);
     if (!side.found || side.distance >= tool(0)[side.ball].kept) return;
     counters.errors |= kErrStartInside;
     gate.engage(config.engage_s);
-    place_on_closest(solver, tool(0), 0.1 * extent_mm, nullptr, counters);
+    place_on_closest(solver, tool(0), 2.0 * bound, nullptr, counters);
 }
 
 MappingOutcome Renderer::State::change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip,

@@ -14,7 +14,7 @@ namespace hapticlod {
 struct SolverBall {
     Vec3 offset;
     double radius = 0.0;  // of the tool
-    double kept = 0.0;    // max(radius, crack / 2) + skin
+    double kept = 0.0;    // max(radius, crack) + skin
 };
 
 class ToolTree {

@@ -25,6 +25,7 @@ static_assert(offsetof(hlod_record, errors) == offsetof(TickRecord, errors));
 static_assert(offsetof(hlod_record, mapping_cells) == offsetof(TickRecord, mapping_cells));
 static_assert(HLOD_MAX_LEVELS == hapticlod::kMaxLevels);
 static_assert(int{HLOD_ERR_START_INSIDE} == int{hapticlod::kErrStartInside});
+static_assert(int{HLOD_ERR_TURN_HELD} == int{hapticlod::kErrTurnHeld});
 static_assert(int{HLOD_ERR_HIP_JUMP} == int{hapticlod::kErrHipJump});
 
 struct hlod_bundle {

@@ -21,6 +21,7 @@ constexpr std::pair<std::uint32_t, const char*> kErrorNames[] = {
     {kErrSlewLimited, "slew_limited"},
     {kErrForceNotFinite, "force_not_finite"},
     {kErrStartInside, "start_inside"},
+    {kErrTurnHeld, "turn_held"},
 };
 
 [[gnu::format(printf, 2, 3)]] void add(std::string& text, const char* format, ...) {

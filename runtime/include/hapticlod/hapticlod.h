@@ -91,7 +91,8 @@ enum {
     HLOD_ERR_FORCE_CLAMPED = 1u << 6,    /* the force limit was reached */
     HLOD_ERR_SLEW_LIMITED = 1u << 7,     /* the limit of force per second was reached */
     HLOD_ERR_FORCE_NOT_FINITE = 1u << 8, /* the force was not finite: 0 is given */
-    HLOD_ERR_START_INSIDE = 1u << 9      /* the tool started inside the surface: engaged softly */
+    HLOD_ERR_START_INSIDE = 1u << 9,     /* the tool started inside the surface: engaged softly */
+    HLOD_ERR_TURN_HELD = 1u << 10        /* a turn would have passed through the surface: orientation was held */
 };
 
 /* hlod_record.mapping: what the change of level did to the contact. */
