@@ -1,52 +1,95 @@
-"""Velocity-driven levels of detail for haptic rendering: scans, ladders, replay and metrics.
+"""Velocity-driven levels of detail for haptic rendering: scans, ladders, motions, replay, metrics, bundles.
 
-Names are imported when they are first used, so that ``import hapticlod`` costs nothing.
-The tuner builds on this package and lives in `tuning` (``from tuning import tune``).
+Names are imported when they are first used, so that `import hapticlod` costs nothing.
+The tuner builds on this package and lives in `tuning` (`from tuning.tune import tune`).
 """
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hapticlod.errors import HapticLODError as HapticLODError
-    from hapticlod.errors import InputError as InputError
+    from hapticlod.bundle import read_bundle, write_bundle
+    from hapticlod.config import LodConfig, load_config, save_config
+    from hapticlod.dentition import make_dentition
+    from hapticlod.errors import HapticLODError, InputError
+    from hapticlod.ladder import Ladder, build_ladder
+    from hapticlod.metrics import measure
+    from hapticlod.motion import Motion, load_motion, synthesise
+    from hapticlod.replay import Record, replay
+    from hapticlod.scan import Scan, load_scan, scan_from_arrays
+    from hapticlod.station import Station, load_station
+    from hapticlod.tool import Tool, load_tool
+
+    __version__: str
+
+__all__ = [
+    "HapticLODError",
+    "InputError",
+    "Ladder",
+    "LodConfig",
+    "Motion",
+    "Record",
+    "Scan",
+    "Station",
+    "Tool",
+    "__version__",
+    "build_ladder",
+    "load_config",
+    "load_motion",
+    "load_scan",
+    "load_station",
+    "load_tool",
+    "make_dentition",
+    "measure",
+    "read_bundle",
+    "replay",
+    "save_config",
+    "scan_from_arrays",
+    "synthesise",
+    "write_bundle",
+]
 
 _HOME = {
-    "HapticLODError": "hapticlod.errors",
-    "InputError": "hapticlod.errors",
-    "LodConfig": "hapticlod.config",
-    "Ladder": "hapticlod.ladder",
-    "build_ladder": "hapticlod.ladder",
-    "make_dentition": "hapticlod.dentition",
-    "Motion": "hapticlod.motion",
-    "load_motion": "hapticlod.motion",
-    "synthesise": "hapticlod.motion",
-    "measure": "hapticlod.metrics",
-    "Record": "hapticlod.replay",
-    "replay": "hapticlod.replay",
-    "Scan": "hapticlod.scan",
-    "load_scan": "hapticlod.scan",
-    "Station": "hapticlod.station",
-    "load_station": "hapticlod.station",
-    "Tool": "hapticlod.tool",
-    "load_tool": "hapticlod.tool",
-    "read_bundle": "hapticlod.bundle",
-    "write_bundle": "hapticlod.bundle",
+    "bundle": ("read_bundle", "write_bundle"),
+    "config": ("LodConfig", "load_config", "save_config"),
+    "dentition": ("make_dentition",),
+    "errors": ("HapticLODError", "InputError"),
+    "ladder": ("Ladder", "build_ladder"),
+    "metrics": ("measure",),
+    "motion": ("Motion", "load_motion", "synthesise"),
+    "replay": ("Record", "replay"),
+    "scan": ("Scan", "load_scan", "scan_from_arrays"),
+    "station": ("Station", "load_station"),
+    "tool": ("Tool", "load_tool"),
 }
-
-__all__ = ["__version__", *sorted(_HOME)]
+_MODULE_OF = {name: f"hapticlod.{module}" for module, names in _HOME.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         from importlib.metadata import version
 
-        return version("hapticlod")
-    if name not in _HOME:
+        value = version("hapticlod")
+    elif name in _MODULE_OF:
+        value = getattr(import_module(_MODULE_OF[name]), name)
+    else:
         raise AttributeError(f"module 'hapticlod' has no attribute {name!r}")
-    value = getattr(import_module(_HOME[name]), name)
     globals()[name] = value
     return value
+
+
+class _Package(ModuleType):
+    """`hapticlod.replay` is the function, also after the module of that name was imported."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "replay" and isinstance(value, ModuleType):
+            value = value.replay
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
 
 
 def __dir__() -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -70,9 +70,10 @@ def tune_command(
     from hapticlod.tool import load_tool
 
     level_counts = parse_levels(levels)
-    for path in (output, json):
-        if path is not None:
-            _check_writable(path)
+    inputs = [path for path in (scan, station, tool, *motions) if path is not None]
+    _check_writable(output, inputs)
+    if json is not None:
+        _check_writable(json, [*inputs, output])
     target = _adjusted(load_station(station or shipped_config(DEFAULT_STATION)), loop_hz, budget_us)
     held = load_tool(tool or shipped_config(DEFAULT_TOOL))
     recorded = [load_motion(path, target.loop_hz) for path in motions]
@@ -103,8 +104,10 @@ def parse_levels(text: str) -> tuple[int, int]:
     )
 
 
-def _check_writable(path: Path) -> None:
-    """Before minutes of work, not after."""
+def _check_writable(path: Path, taken: Sequence[Path]) -> None:
+    """Before minutes of work, not after. `taken` are files of this command that must stay."""
+    if path.resolve() in [other.resolve() for other in taken]:
+        raise InputError(str(path), "is also an input or the other output", "give another name")
     if path.is_dir():
         raise InputError(str(path), "is a folder", "give the name of a file")
     if not path.resolve().parent.is_dir():
