@@ -76,19 +76,30 @@ def test_sphere(radius_mm: float, speed_mm_s: float) -> None:
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     path = direction * (10.0 + radius_mm + rng.uniform(-1.5, 0.2, 20))[:, None]
     path[0] = direction[0] * (11.0 + radius_mm)
-    result = compare(shapes.sphere(10.0, 4), radius_mm, shapes.wander(path, speed_mm_s, 150))
+    result = compare(
+        shapes.sphere(10.0, 4), radius_mm, shapes.wander(path, speed_mm_s, 150 if speed_mm_s < 100.0 else 90)
+    )
     assert result.touching > 50
     assert result.differ == 0
     assert result.deepest_mm > -AGREE_MM
 
 
-@pytest.mark.parametrize(("gap_um", "bridge_um"), [(1, 0), (1, 10), (10, 0), (10, 20), (50, 0), (50, 100)])
+@pytest.mark.parametrize(("gap_um", "bridge_um"), [(1, 0), (1, 1), (10, 0), (10, 10), (50, 0), (50, 50), (50, 100)])
 def test_cracks(gap_um: int, bridge_um: int) -> None:
+    """A gap up to the stated width holds the point: through ten strokes it stays in contact, near the plane."""
     path = over(4.0, -1.0, -0.5, seed=2)
     path[0] = [0.3, 0.3, 1.0]
     hip = shapes.wander(path, 200.0, 250)
-    result = compare(shapes.cracked_plane(gap_um * 1e-3), 0.0, hip, crack_mm=bridge_um * 1e-3)
+    mesh = shapes.cracked_plane(gap_um * 1e-3)
+    result = compare(mesh, 0.0, hip, crack_mm=bridge_um * 1e-3)
     assert result.differ == 0
+    if bridge_um:
+        pressed = hip[:, 2] < 0.0  # the path ends above the plane
+        rows = Core([mesh], point_or_ball(0.0), crack_mm=bridge_um * 1e-3).replay(hip)[pressed]
+        assert rows["contact"].all()
+        # Steep planes: at the equal width the SCP sinks by 0.29 gaps in a crack, by 0.71 where two cross, sqrt(2) gaps
+        # from corner to corner. float32 vertices round a gap by up to 1 um.
+        assert rows["scp_mm"][:, 2].min() > -0.72e-3 * (gap_um + 1)
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +123,8 @@ def test_real_crop(crop: shapes.Mesh, radius_mm: float, speed_mm_s: float, most_
     at = rng.integers(0, len(faces), 40)
     path = corners[at].mean(axis=1) + normal[at] * (radius_mm + rng.uniform(-0.8, 0.2, 40))[:, None]
     path[0] = path[1] + normal[at[1]] * 2.0
-    ticks = 160 if radius_mm < 3.0 else 60  # a large ball has hundreds of triangles near
+    # A large ball has hundreds of triangles near, the more the faster it goes.
+    ticks = 120 if radius_mm < 3.0 else 60 if speed_mm_s < 100.0 else 40
     result = compare(crop, radius_mm, shapes.wander(path, speed_mm_s, ticks))
     assert result.touching > 5
     assert result.differ <= most_differ
