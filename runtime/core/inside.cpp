@@ -113,7 +113,8 @@ bool place_on_closest(ContactSolver& solver, std::span<const SolverBall> balls, 
         const SurfaceSide side = surface_side(solver, balls, bound_mm, counters);
         if (!side.found) break;
         Vec3 normal = side.normal;
-        if (memory != nullptr && dot(normal, memory->normal) < 0.0) normal = -normal;
+        // Out on the side that was touched: in a narrow groove a wall may well face against the force.
+        if (memory != nullptr) normal = normal * memory->side;
         const double kept = balls[side.ball].kept;
         const Vec3 to = side.point + normal * kept;
         Vec3 x = solver.position() + (to - (solver.position() + balls[side.ball].offset));
