@@ -33,7 +33,7 @@ class LadderData:
         fields: by name (R, B, ...), of `tuning.level_fields.level_fields`.
         cost_ns: (R, B, T) of a tick, on the station, interrupts taken out.
         reference: of the finest level.
-        tour: of switches.
+        tour: of switches; switch_ns: (R, B, I) cost of the tick that enters a level, on the station.
         cell_rungs: rungs whose other cell sizes were sampled.
         cell_cost: (S, B, H, 2) mean cost, and mean cost of the dearest ticks, by cell size, at these rungs.
         level_bytes: (R,) with the replays' cells; cell_bytes: (S, H).
@@ -45,6 +45,7 @@ class LadderData:
     cost_ns: Array
     reference: Reference
     tour: Tour
+    switch_ns: Array
     cell_rungs: tuple[int, ...]
     cell_cost: Array
     level_bytes: Array
@@ -77,7 +78,7 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
         log_all_balls=jnp.asarray(np.log(float(grid.balls[0]))),
         log_edge_mm=jnp.asarray(np.log(np.array(grid.edge_mm))),
         velocity_mm_s=jnp.asarray(reference.velocity_mm_s),
-        starts=jnp.asarray(clock.marks(clock.ticks_per_bin)),
+        starts=jnp.asarray(clock.marks(1)),
         cycle=jnp.asarray(cycle),
         feel=feel,
         instants=_instants(data, stiffness_n_mm),
@@ -87,7 +88,7 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
         stiffness_n_mm=jnp.asarray(stiffness_n_mm),
         cycles=int(reference.cycle.max(initial=0)) + 1,
         tick_s=tick_s,
-        dwell_bins=round(dwell_s / (tick_s * clock.ticks_per_bin)),
+        dwell_ticks=round(dwell_s / tick_s),
         perception=reference.perception,
     )
 
@@ -128,8 +129,8 @@ def _cost_model(data: LadderData, curves) -> CostModel:
     return CostModel(
         samples=curves(samples),
         tail_share=curves(share),
-        switch=curves(_switch_cost(data.tour.cost_ns, touching)),
-        free_switch=curves(_switch_cost(data.tour.cost_ns, ~touching)),
+        switch=curves(_switch_cost(data.switch_ns, touching)),
+        free_switch=curves(_switch_cost(data.switch_ns, ~touching)),
         cells=cell_factors(np.array(data.grid.cell_edges), _along_rungs(data, factors)),
         sizes=jnp.asarray(group_sizes(window), dtype=samples.dtype),
         spread=jnp.asarray(_LEAST_SPREAD),

@@ -77,12 +77,12 @@ class Tour:
 
     Attributes:
         offset_n: (R, B, I, 3) stiffness times (SCP there - SCP of the finest level with all balls).
-        cost_ns: (R, B, I) cost of the tick that entered the level. Rung 0 with all balls: of the return to it.
+        rows: (R, B, I) of the tick that entered the level. Rung 0 with all balls: of the return to it.
         touching: (I,) whether the finest level was in contact.
     """
 
     offset_n: Array
-    cost_ns: Array
+    rows: NDArray
     touching: NDArray[np.bool_]
 
 
@@ -97,7 +97,7 @@ def tour_ladder(
     legs = [[(0, 0), *stops[i : i + size]] for i in range(0, len(stops), size)] or [[(0, 0)]]
     instants = clock.ticks // clock.ticks_per_instant
     offset = np.zeros((rungs, subsets, instants, 3))
-    cost = np.zeros((rungs, subsets, instants))
+    entered = np.zeros((rungs, subsets, instants), dtype=RECORD_DTYPE)
     touching = np.zeros(instants, dtype=bool)
 
     def go(leg: list[tuple[int, int]]) -> None:
@@ -107,7 +107,7 @@ def tour_ladder(
         base = rows["scp_mm"][:, 0]
         for stop, (r, b) in enumerate(leg):
             at = stop if stop else len(leg)  # the return closes the tour
-            cost[r, b] = rows["cost_ns"][:, at]
+            entered[r, b] = rows[:, at]
             if stop:
                 offset[r, b] = bench.station.stiffness_n_mm * (rows["scp_mm"][:, stop] - base)
         if leg is legs[0]:
@@ -116,7 +116,7 @@ def tour_ladder(
     with ThreadPoolExecutor(threads) as pool:
         for count, _ in enumerate(pool.map(go, legs), 1):
             done(count / len(legs))
-    return Tour(offset, cost, touching)
+    return Tour(offset, entered, touching)
 
 
 def _tour_config(bench: Bench, leg: list[tuple[int, int]], l_mm: float) -> Any:

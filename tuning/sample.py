@@ -16,7 +16,7 @@ from hapticlod.station import CostCoefficients, Station
 from tuning.assemble import LadderData, cell_rungs, dearest_mean
 from tuning.calibrate import calibrate, counted_cost_ns, without_interrupts
 from tuning.grid import Clock
-from tuning.level_fields import Reference, level_fields, make_reference
+from tuning.level_fields import level_fields, make_reference
 from tuning.replays import Bench, replay_fixed, tour_ladder
 
 Array = NDArray[np.float64]
@@ -95,13 +95,15 @@ def sample_ladder(
 
     progress("switch between levels", 0.0)
     tour = tour_ladder(bench, levels, cut, clock, l_mm, threads(), lambda done: progress("switch between levels", done))
-    scale = station.slowdown * _price_ratio(costing, kept)
-    object.__setattr__(tour, "cost_ns", tour.cost_ns * scale)
+    switch = np.array(
+        [[costing.cost_ns(row, size) for row in rows] for rows, size in zip(tour.rows, level_bytes, strict=True)]
+    )
 
     chosen = tuple(cell_rungs(grid))
     swept = _sweep_cells(bench, levels, chosen, cut, costing, progress)
     data = LadderData(
-        grid=grid, clock=clock, fields=fields, cost_ns=cost, reference=reference, tour=tour, cell_rungs=chosen,
+        grid=grid, clock=clock, fields=fields, cost_ns=cost, reference=reference, tour=tour,
+        switch_ns=switch, cell_rungs=chosen,
         cell_cost=swept[0], level_bytes=level_bytes, cell_bytes=swept[1],
     )  # fmt: skip
     return data, costing
@@ -113,15 +115,6 @@ def _counters_only(rows: NDArray) -> NDArray:
     for name in names:
         out[name] = rows[name]
     return out
-
-
-def _price_ratio(costing: Costing, kept: dict[tuple[int, int], NDArray]) -> float:
-    """What the station's counted cost is of this machine's, over all replays."""
-    if costing.station.cost is None:
-        return 1.0
-    there = sum(float(counted_cost_ns(rows, 0, costing.station.cost).sum()) for rows in kept.values())
-    here = sum(float(counted_cost_ns(rows, 0, costing.here).sum()) for rows in kept.values())
-    return there / max(here, 1.0)
 
 
 def _sweep_cells(

@@ -35,7 +35,7 @@ class Space:
         l_mm: each side's mapping length.
         hysteresis, filter_hz, blend_ms: as in LodConfig.
         triangle_ratio, speed_ratio: least ratio between neighbours.
-        dwell_ms: least time between switches; not searched.
+        dwell_ms: least time between switches; not searched. Hysteresis and filter keep levels from chattering.
     """
 
     triangles: Bounds
@@ -50,7 +50,7 @@ class Space:
     blend_ms: Bounds = (1.0, 120.0)
     triangle_ratio: float = 1.25
     speed_ratio: float = 1.25
-    dwell_ms: float = 4.0
+    dwell_ms: float = 0.0
     most_levels: int = MOST_LEVELS
 
     @property

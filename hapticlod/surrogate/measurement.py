@@ -1,7 +1,7 @@
 """What replays of a ladder gave, as arrays: everything the surrogate knows about a scan, a tool, a hand and a station.
 
-Time is kept at three rates. Ticks: velocity, for the filter. Bins of a few ticks: level weights, and what levels do to
-the feel (means within a bin). Instants, every few bins: what a switch would do there. Axes: R rungs (finest first), B
+Time is kept at three rates. Ticks: velocity, for filter and triggers. Bins of a few ticks: what levels do to the feel
+(means within a bin). Instants, every few bins: what a switch would do there. Axes: R rungs (finest first), B
 ball subsets (all balls first), T ticks, n bins, I instants.
 """
 
@@ -74,11 +74,11 @@ class LadderMeasurement(eqx.Module):
     - `thinness`: (B,) ln(P_0 / P). `log_all_balls`: ln P_0.
     - `log_edge_mm`: (R,) ln mean edge.
     - `velocity_mm_s`: (T, 3) raw.
-    - `starts`: (n,) bins that begin a motion.
+    - `starts`: (T,) ticks that begin a motion.
     - `cycle`: (n,) contact cycle of the reference that a bin belongs to; 0: none, or one that is not complete.
     - `cycles`: how many there are, 0 among them.
     - `log_bytes`: curves with trailing shape (H,): ln bytes of a level by cell size; `log_cell_edges`: (H,).
-    - `tick_s`, `dwell_bins`, `stiffness_n_mm`, `perception`: of the loop, the configuration space and the station.
+    - `tick_s`, `dwell_ticks`, `stiffness_n_mm`, `perception`: of the loop, the configuration space and the station.
     """
 
     coarseness: Float[Array, " R"]
@@ -87,7 +87,7 @@ class LadderMeasurement(eqx.Module):
     log_all_balls: Float[Array, ""]
     log_edge_mm: Float[Array, " R"]
     velocity_mm_s: Float[Array, "T 3"]
-    starts: Bool[Array, " n"]
+    starts: Bool[Array, " T"]
     cycle: Int[Array, " n"]
     feel: Feel
     instants: Instants
@@ -97,7 +97,7 @@ class LadderMeasurement(eqx.Module):
     stiffness_n_mm: Float[Array, ""]
     cycles: int = eqx.field(static=True)
     tick_s: float = eqx.field(static=True)
-    dwell_bins: int = eqx.field(static=True)
+    dwell_ticks: int = eqx.field(static=True)
     perception: Perception = eqx.field(static=True)
 
     @property
@@ -108,7 +108,7 @@ class LadderMeasurement(eqx.Module):
     @property
     def bins(self) -> int:
         """n."""
-        return self.starts.shape[0]
+        return self.cycle.shape[0]
 
     @property
     def seconds(self) -> float:

@@ -15,7 +15,7 @@ from hapticlod.surrogate.ladder_curves import LadderCurves, Places, linear_weigh
 from hapticlod.surrogate.measurement import LadderMeasurement
 from hapticlod.surrogate.parameters import Parameters
 from hapticlod.surrogate.quantile import smooth_max, smooth_quantile
-from hapticlod.surrogate.switching import affine_scan, filtered_speed_mm_s, soft_switching
+from hapticlod.surrogate.switching import Switching, affine_scan, filtered_speed_mm_s, soft_switching
 
 # Sigmoids are eta / SHARPNESS wide in ln speed: sharp enough to count switches to a per cent.
 SHARPNESS = 20.0
@@ -63,12 +63,17 @@ def predict(
     tick_s, blend_s, instants = measured.tick_s, parameters.blend_s, measured.instants
     speed = filtered_speed_mm_s(measured.velocity_mm_s, measured.starts, parameters.filter_hz, tick_s)
     switching = soft_switching(
-        speed, measured.starts, parameters.reachable_log_speeds, parameters.hysteresis, sharpness, measured.dwell_bins
+        speed, measured.starts, parameters.reachable_log_speeds, parameters.hysteresis, sharpness, measured.dwell_ticks
     )
-    weights = switching.weights
     ticks_per_bin = measured.ticks // measured.bins
     bins_per_instant = measured.bins // instants.contact.shape[0]
     per_instant = ticks_per_bin * bins_per_instant
+
+    def grouped(x: Float[Array, "*s n"], size: int) -> Float[Array, "*s m"]:
+        return x.reshape(*x.shape[:-1], -1, size).sum(axis=-1)
+
+    weights = grouped(switching.weights, ticks_per_bin) / ticks_per_bin
+    up, down = grouped(switching.up, ticks_per_bin), grouped(switching.down, ticks_per_bin)
 
     def levels(curves: LadderCurves) -> Float[Array, "K n"]:
         return curves.levels(where)
@@ -79,11 +84,8 @@ def predict(
     def total(per_bin: Float[Array, " n"]) -> Float[Array, ""]:
         return jnp.sum(per_bin) * ticks_per_bin
 
-    def grouped(x: Float[Array, "*s n"]) -> Float[Array, "*s I"]:
-        return x.reshape(*x.shape[:-1], -1, bins_per_instant).sum(axis=-1)
-
     events = switch_events(
-        instants, parameters, where, edge_mm, grouped(switching.up), grouped(switching.down),
+        instants, parameters, where, edge_mm, grouped(up, bins_per_instant), grouped(down, bins_per_instant),
         measured.stiffness_n_mm, tick_s,
     )  # fmt: skip
     flow = jnp.sum(events.flow)
@@ -92,18 +94,22 @@ def predict(
     stays = jnp.where(instants.starts, 0.0, jnp.minimum(2 * instants.contact, 1.0))
     lost = affine_scan(stays * (1 - losing), losing)
 
-    feel, hand_mm_s = measured.feel, grouped(speed) / bins_per_instant
+    feel, hand_mm_s = measured.feel, grouped(speed, per_instant) / per_instant
     felt_mix, force_mix = mixed(feel.felt), mixed(feel.force_sq)
     either = jnp.maximum(total(mixed(feel.either)), 1.0)
     both = jnp.maximum(total(mixed(feel.both)), 1.0)
     felt = total(felt_mix) + blend_square(events, instants.felt_per_n2, hand_mm_s, blend_s, tick_s)
-    felt += per_instant * jnp.sum(lost * (instants.lost_felt - grouped(felt_mix) / bins_per_instant))
+    felt += jnp.sum(lost * (per_instant * instants.lost_felt - ticks_per_bin * grouped(felt_mix, bins_per_instant)))
     force = total(force_mix) + blend_square(events, 1.0, hand_mm_s, blend_s, tick_s)
-    force += per_instant * jnp.sum(lost * (instants.lost_force_sq - grouped(force_mix) / bins_per_instant))
+    force += per_instant * jnp.sum(
+        lost * (instants.lost_force_sq - grouped(force_mix, bins_per_instant) / bins_per_instant)
+    )
     band = total(mixed(feel.band_sq)) + blend_band_square(events, blend_s, measured.perception, tick_s)
 
     in_contact = jnp.repeat(instants.contact, bins_per_instant)
-    costs, samples, windows = tick_costs(measured.cost, where, parameters.log_cell_edges, switching, in_contact)
+    costs, samples, windows = tick_costs(
+        measured.cost, where, parameters.log_cell_edges, Switching(weights, up, down), in_contact
+    )
     spread = measured.cost.spread
     shares = jnp.clip(weights, 0.0, None)
     peaks, depths = levels(feel.peak_n).reshape(-1), levels(feel.depth_mm).reshape(-1)

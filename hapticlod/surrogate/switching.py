@@ -2,8 +2,7 @@
 
 One trigger per threshold: s = 1 where the level lies above it. With ordered thresholds K - 1 independent triggers are
 the runtime's state machine exactly (a jump over several levels trips several of them). Each is affine in its state,
-s_t = (1 - u_t - d_t) s_{t-1} + u_t, so a scan runs them (DESIGN.md section 7). Time is binned: the scan
-sees the speed at the end of every bin of a few ticks, the filter sees every tick.
+s_t = (1 - u_t - d_t) s_{t-1} + u_t, so a scan runs them (DESIGN.md section 7).
 """
 
 from __future__ import annotations
@@ -48,41 +47,36 @@ def _affine_scan_jvp(primals, tangents):
 
 def filtered_speed_mm_s(
     velocity_mm_s: Float[Array, "T 3"],
-    starts: Bool[Array, " bins"],
+    starts: Bool[Array, " T"],
     filter_hz: Float[Array, ""],
     tick_s: float,
-) -> Float[Array, " bins"]:
-    """Speed at the end of every bin, after the runtime's one-pole filter on each component.
+) -> Float[Array, " T"]:
+    """Speed after the runtime's one-pole filter on each component.
 
     **Arguments:**
 
-    - `velocity_mm_s`: raw velocity per tick; T is a multiple of the number of bins.
-    - `starts`: bins that begin a new motion: the filter is empty there.
+    - `velocity_mm_s`: raw velocity per tick.
+    - `starts`: ticks that begin a new motion: the filter is empty there.
     - `filter_hz`: cut-off; 0 is the raw difference.
     - `tick_s`: loop period.
     """
-    bins = starts.shape[0]
-    ticks = velocity_mm_s.shape[0] // bins
     on = filter_hz > 0
     keep = jnp.where(on, jnp.exp(-2 * jnp.pi * jnp.where(on, filter_hz, 1.0) * tick_s), 0.0)
-    ages = jnp.arange(ticks - 1, -1, -1)
-    powers = jnp.where(ages > 0, keep ** jnp.maximum(ages, 1), 1.0)
-    gathered = (1 - keep) * jnp.einsum("t,btx->bx", powers, velocity_mm_s.reshape(bins, ticks, 3))
-    gain = jnp.where(starts, 0.0, keep**ticks)
-    velocity = affine_scan(jnp.broadcast_to(gain[:, None], gathered.shape), gathered)
+    gain = jnp.broadcast_to(jnp.where(starts, 0.0, keep)[:, None], velocity_mm_s.shape)
+    velocity = affine_scan(gain, (1 - keep) * velocity_mm_s)
     return jnp.sqrt(jnp.sum(velocity**2, axis=1) + 1e-12)
 
 
 class Switching(eqx.Module):
-    """Soft level assignment over bins.
+    """Soft level assignment over ticks.
 
-    - `weights`: (K, bins) probability of each level; they sum to 1.
-    - `up`, `down`: (K - 1, bins) flow i -> i + 1 and i + 1 -> i that happens in this bin.
+    - `weights`: (K, T) probability of each level; they sum to 1.
+    - `up`, `down`: (K - 1, T) flow i -> i + 1 and i + 1 -> i that happens in this tick.
     """
 
-    weights: Float[Array, "K bins"]
-    up: Float[Array, "J bins"]
-    down: Float[Array, "J bins"]
+    weights: Float[Array, "K T"]
+    up: Float[Array, "J T"]
+    down: Float[Array, "J T"]
 
     @property
     def switches(self) -> Float[Array, ""]:
@@ -91,24 +85,24 @@ class Switching(eqx.Module):
 
 
 def soft_switching(
-    speed_mm_s: Float[Array, " bins"],
-    starts: Bool[Array, " bins"],
+    speed_mm_s: Float[Array, " T"],
+    starts: Bool[Array, " T"],
     log_speeds: Float[Array, " J"],
     hysteresis: Float[Array, ""],
     sharpness: Float[Array, ""] | float,
-    dwell_bins: int = 0,
+    dwell_ticks: int = 0,
     dwell_rounds: int = 2,
 ) -> Switching:
     """Runs the soft triggers.
 
     **Arguments:**
 
-    - `speed_mm_s`: filtered speed at the end of every bin.
-    - `starts`: bins that begin a new motion, at level 0.
+    - `speed_mm_s`: filtered speed.
+    - `starts`: ticks that begin a new motion, at level 0.
     - `log_speeds`: ln of the switching speeds in mm/s, increasing; a huge one is never reached.
     - `hysteresis`: eta; up above V (1 + eta), down below V (1 - eta).
     - `sharpness`: the sigmoid's width is eta / sharpness in ln speed. Soft triggers over-count when it is below 5.
-    - `dwell_bins`: least bins from one switch to the next, of any kind; up to 1: none. Not differentiated.
+    - `dwell_ticks`: least ticks from one switch to the next, of any kind; up to 1: none. Not differentiated.
     - `dwell_rounds`: fixed-point rounds for the dwell.
     """
     log_speed = jnp.log(speed_mm_s)[None, :]
@@ -127,22 +121,22 @@ def soft_switching(
 
     open_share = jnp.ones_like(log_speed)
     above, up, down = run(open_share)
-    for _ in range(dwell_rounds if dwell_bins > 1 else 0):
+    for _ in range(dwell_rounds if dwell_ticks > 1 else 0):
         # Half steps: a switch that is blocked must not unblock the next one at once.
-        open_share = 0.5 * (open_share + _open_share(up, down, starts, dwell_bins - 1))
+        open_share = 0.5 * (open_share + _open_share(up, down, starts, dwell_ticks - 1))
         above, up, down = run(open_share)
     ones, zeros = jnp.ones_like(above[:1]), jnp.zeros_like(above[:1])
     ladder = jnp.concatenate([ones, above, zeros])
     return Switching(ladder[:-1] - ladder[1:], up, down)
 
 
-def _open_share(up, down, starts, closed_bins: int) -> Float[Array, "1 bins"]:
-    """Share of histories with no switch in the last `closed_bins` bins: 1 minus the flow there, at least 0."""
+def _open_share(up, down, starts, closed_ticks: int) -> Float[Array, "1 T"]:
+    """Share of histories with no switch in the last `closed_ticks` ticks: 1 minus the flow there, at least 0."""
     flow = jnp.sum(up, axis=0) + jnp.sum(down, axis=0)
     keep = jnp.where(starts, 0.0, 1.0)
     total = affine_scan(keep, flow)
-    age = affine_scan(keep, jnp.ones_like(flow))  # 1 in a motion's first bin
-    delayed = lambda bins: jnp.concatenate([jnp.zeros(bins, flow.dtype), total])[: flow.shape[0]]
+    age = affine_scan(keep, jnp.ones_like(flow))  # 1 in a motion's first tick
+    delayed = lambda ticks: jnp.concatenate([jnp.zeros(ticks, flow.dtype), total])[: flow.shape[0]]
     before = jnp.where(age > 1, delayed(1), 0.0)
-    earlier = jnp.where(age > closed_bins + 1, delayed(closed_bins + 1), 0.0)
+    earlier = jnp.where(age > closed_ticks + 1, delayed(closed_ticks + 1), 0.0)
     return jnp.clip(1 - (before - earlier), 0.0, 1.0)[None, :]
