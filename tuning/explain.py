@@ -1,0 +1,52 @@
+"""Why this configuration: one paragraph that a user can read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hapticlod.station import Station
+    from hapticlod.tool import Tool
+    from tuning.tune import Candidate
+
+
+def explain(
+    ranked: Sequence[Candidate],
+    baselines: Mapping[str, Mapping[str, float]],
+    station: Station,
+    triangles: int,
+    tool: Tool,
+) -> str:
+    """From the measured candidates, best first, and the baselines' metrics."""
+    chosen = ranked[0]
+    config, measured = chosen.config, chosen.measured
+    finest = baselines["finest only"]
+    cost, budget = measured["loop_cost_p999_us"], station.budget_us
+    held = f"{tool.name} ({tool.balls} balls)" if tool.balls > 1 else tool.name
+    where = f"at {station.loop_hz:g} Hz with a budget of {budget:g} us"
+    fits = finest["loop_cost_p999_us"] <= budget and finest["memory_mb"] <= station.memory_mb
+    finest_says = (
+        f"The full scan of {triangles} triangles costs {finest['loop_cost_p999_us']:.3g} us at p99.9 with {held}"
+    )
+    if len(config.levels) == 1:
+        level = config.levels[0]
+        if fits and level.triangles == triangles:
+            return (
+                f"One level, the full scan. {finest_says}, {where}: it fits, so a second level could only take detail "
+                f"away. Measured felt error {measured['felt_error_jnd']:.2f} JND."
+            )
+        return (
+            f"One level of {level.triangles} triangles and {level.balls} of the tool's balls. {finest_says}, {where}. "
+            f"This level costs {cost:.3g} us; switching to coarser ones at speed was measured to feel worse than "
+            f"that is worth. Felt error {measured['felt_error_jnd']:.2f} JND."
+        )
+    sizes = ", ".join(f"{level.triangles} triangles with {level.balls} balls" for level in config.levels)
+    speeds = ", ".join(f"{speed:.0f}" for speed in config.speeds_mm_s)
+    reason = "which fits, but levels feel no worse and cost less" if fits else "which is over it"
+    return (
+        f"{len(config.levels)} levels ({sizes}), changing at {speeds} mm/s. {finest_says}, {where}, {reason}. "
+        f"The tuned levels cost {cost:.3g} us at p99.9; on motions that the model had not seen they were measured at a "
+        f"felt error of {measured['felt_error_jnd']:.2f} JND, {measured['discontinuity_per_s']:.3f} noticed jumps per "
+        f"second of contact and {measured['switches_per_s']:.2f} switches per second."
+    )
