@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from rich import box
 from rich.table import Table
 
 
@@ -35,11 +36,11 @@ def comparison_table(measured: Mapping[str, Mapping[str, float]], feasible: Mapp
         feasible: by the same names, whether budget and memory hold.
         title: says under which conditions it was measured.
     """
-    table = Table(title=title, title_justify="left", title_style="")
+    table = Table(title=title, title_justify="left", title_style="", box=box.SIMPLE_HEAD)
     table.add_column("", no_wrap=True)
     for column in COLUMNS:
         table.add_column(column.heading, justify="right", no_wrap=True)
-    table.add_column("feasible")
+    table.add_column("feasible", no_wrap=True)
     for name, metrics in measured.items():
         cells = [column.text(metrics) for column in COLUMNS]
         table.add_row(name, *cells, "yes" if feasible[name] else "no")

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -58,7 +59,7 @@ def inspect_command(bundle: Path, /) -> None:
 
 
 def _levels(held: Any) -> Table:
-    table = Table()
+    table = Table(box=box.SIMPLE_HEAD)
     for heading in ("level", "triangles", "cell mm", "balls", "MB", "up to mm/s"):
         table.add_column(heading, justify="right")
     speeds = [f"{speed:.1f}" for speed in held.config["speeds_mm_s"][: len(held.levels) - 1]]

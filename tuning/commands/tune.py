@@ -11,8 +11,10 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from hapticlod.errors import InputError
+from hapticlod.files import write_json
 from hapticlod.shipped import shipped_config
 from tuning.progress import StageProgress
+from tuning.tables import comparison_table
 
 if TYPE_CHECKING:
     from hapticlod.station import Station
@@ -76,7 +78,7 @@ def tune_command(
         _check_writable(json, [*inputs, output])
     target = _adjusted(load_station(station or shipped_config(DEFAULT_STATION)), loop_hz, budget_us)
     held = load_tool(tool or shipped_config(DEFAULT_TOOL))
-    recorded = [load_motion(path, target.loop_hz) for path in motions]
+    recorded = [motion for path in motions for motion in load_motion(path, target.loop_hz)]
 
     notes = Console(stderr=True, highlight=False)
     with StageProgress(notes) as progress:
@@ -84,12 +86,29 @@ def tune_command(
         from hapticlod.scan import load_scan
 
         cleaned = load_scan(scan, unit)
+        for line in cleaned.report.lines():
+            notes.print(f"    {line}", markup=False)
+        from tuning.deliver import document, write_tuned
         from tuning.tune import tune
 
         result = tune(cleaned, target, held, recorded or None, levels=level_counts, seed=seed, progress=progress)
-    for line in cleaned.report.lines():
-        notes.print(line, markup=False)
-    del result
+        progress("write the bundle", 0.0)
+        write_tuned(output, result, cleaned, target, held, seed)
+        if json is not None:
+            write_json(json, document(result))
+    _show(result, target, output, json)
+
+
+def _show(result: TuneResult, station: Station, output: Path, json: Path | None) -> None:
+    """The table, the configuration in one line, the reason, and where it went."""
+    out = Console(highlight=False)
+    measured = {**result.baselines, "tuned": result.measured}
+    title = f"measured on motions kept apart, {station.loop_hz:g} Hz, budget {station.budget_us:g} us"
+    out.print(comparison_table(measured, result.feasible, title))
+    out.print(result.explanation, markup=False)
+    for path in (output, json):
+        if path is not None:
+            out.print(f"{path}: {path.stat().st_size / 1e6:.1f} MB", markup=False, soft_wrap=True)
 
 
 def parse_levels(text: str) -> tuple[int, int]:

@@ -1,0 +1,111 @@
+"""What a tuning run leaves behind: the JSON document, and the bundle with its manifest and golden record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import hapticlod
+from hapticlod.bundle import write_bundle
+from hapticlod.replay import Record, replay_levels, runtime_levels
+
+if TYPE_CHECKING:
+    from hapticlod.motion import Motion
+    from hapticlod.scan import Scan
+    from hapticlod.station import Station
+    from hapticlod.tool import Tool
+    from tuning.tune import TuneResult
+
+
+def document(result: TuneResult) -> dict[str, Any]:
+    """The tuned configuration with its predicted and measured numbers, as JSON types.
+
+    A metric that has no value (the hit rate of mappings that never happened) is null.
+    """
+    config = result.config
+    levels = [{"triangles": x.triangles, "cell_mm": x.cell_mm, "balls": x.balls} for x in config.levels]
+    baselines = {
+        _key(name): {**_numbers(metrics), "feasible": result.feasible[name]}
+        for name, metrics in result.baselines.items()
+    }
+    return {
+        "levels": levels,
+        "speeds_mm_s": list(config.speeds_mm_s),
+        "hysteresis": config.hysteresis,
+        "l_in_mm": config.l_in_mm,
+        "l_out_mm": config.l_out_mm,
+        "blend_ms": config.blend_ms,
+        "filter_hz": config.filter_hz,
+        "dwell_ms": config.dwell_ms,
+        "mapping": config.mapping,
+        "feasible": result.feasible["tuned"],
+        "predicted": _numbers(result.predicted),
+        "measured": _numbers(result.measured),
+        "baselines": baselines,
+        "stages_s": {name: round(seconds, 3) for name, seconds in result.stages_s.items()},
+        "explanation": result.explanation,
+    }
+
+
+def write_tuned(path: Path, result: TuneResult, scan: Scan, station: Station, tool: Tool, seed: int) -> None:
+    """Write the bundle of a tuning run. The golden motion is the one, of those kept apart, that shows most levels.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    levels = runtime_levels(result.config, result.ladder)
+    shown = [
+        (motion, replay_levels(levels, result.config, scan.centre_mm, motion, tool, station, 1))
+        for motion in result.motions
+    ]
+    golden, record = max(shown, key=lambda pair: _variety(pair[1]))
+    told = document(result)
+    del told["stages_s"]  # times of this run: the same answer is to give the same file
+    write_bundle(
+        path,
+        levels=levels,
+        config=result.config.to_runtime(station, tool, scan.centre_mm),
+        tool=tool,
+        manifest={
+            "hapticlod": hapticlod.__version__,
+            "seed": seed,
+            "scan": {
+                "name": scan.name,
+                "source": Path(scan.source).name,
+                "unit": scan.unit,
+                "triangles": scan.triangles,
+                "extent_mm": scan.extent_mm,
+                "digest": scan.digest,
+            },
+            "tool": {"name": tool.name, "balls": tool.balls, "digest": tool.digest},
+            "station": station.model_dump(mode="json"),
+            "config": result.config.model_dump(mode="json"),
+            "motions": [_about(motion) for motion in result.motions],
+            "golden_motion": _about(golden),
+            **told,
+        },
+        golden_motion=golden,
+        golden_record=record.rows,
+    )
+
+
+def _variety(record: Record) -> tuple[int, int]:
+    """Levels used in contact, and switches."""
+    return len(np.unique(record.level[record.contact])), int(np.count_nonzero(np.diff(record.level)))
+
+
+def _about(motion: Motion) -> dict[str, Any]:
+    return {**motion.provenance, "name": motion.name, "digest": motion.digest, "ticks": len(motion.time_s)}
+
+
+def _key(name: str) -> str:
+    """`finest only` -> `finest_only`, `the paper's` -> `paper`."""
+    return name.removeprefix("the ").removesuffix("'s").replace(" ", "_")
+
+
+def _numbers(metrics: Mapping[str, float]) -> dict[str, float | None]:
+    return {name: float(value) if math.isfinite(value) else None for name, value in metrics.items()}
