@@ -122,15 +122,16 @@ def _control_points(row: Row, along_mm: np.ndarray) -> np.ndarray:
     spee = 1.2 * (along_mm / 55.0) ** 2  # the curve of Spee: the back teeth stand higher
     gum = 4.3 + 1.9 / (1.0 + np.exp((32.0 - np.abs(along_mm)) / 5.0))
     rise = top - margin
+    neck = np.clip(rise / 4.0, 0.0, 1.0)  # no neck where there is no crown: the sheet would fold over itself
     zero = np.zeros_like(gum)
     half = [
         (gum + 1.6, zero - 6.5),
         (gum + 1.3, zero - 5.0),
         (gum + 0.8, zero - 3.0),
-        (0.5 * (gum + half_depth) + 0.6, margin - 1.1),
-        (half_depth + 0.3, margin + 0.25),
-        (half_depth * 0.86, margin + 0.05 * rise + 0.3),
-        (half_depth * 1.0, margin + 0.35 * rise),
+        (gum + 0.25, 0.6 * margin - 1.1),
+        (half_depth + 0.3, margin + 0.25 * neck),
+        (half_depth * (1.0 - 0.14 * neck), margin + 0.05 * rise + 0.3 * neck),
+        (half_depth * (0.94 + 0.06 * neck), margin + 0.35 * rise),
         (0.75 * half_depth + 0.25 * half_table, margin + 0.7 * rise),
         (half_table * 1.1, top - 0.3 - 0.05 * rise),
         (half_table * 0.6, top),
@@ -163,7 +164,7 @@ def _lay_grid(row: Row, triangles: int) -> tuple[np.ndarray, np.ndarray, int]:
     girth = np.concatenate((np.zeros((len(along), 1)), np.linalg.norm(np.diff(draft, axis=1), axis=2)), axis=1)
     girth = np.cumsum(girth, axis=1)
     width = float(girth[:, -1].mean())
-    girth = gaussian_filter1d(girth / girth[:, -1:], 6.0, axis=0, mode="nearest")
+    girth = gaussian_filter1d(girth / girth[:, -1:], 10.0, axis=0, mode="nearest")
 
     columns = max(round(float(np.sqrt(0.5 * triangles * width / reach[-1]))), 1)
     rows = round(0.5 * triangles / columns)

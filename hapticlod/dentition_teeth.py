@@ -69,7 +69,8 @@ class Row:
         tooth = np.clip(np.searchsorted(edges, along_mm, side="right") - 1, 0, len(self.kinds) - 1)
         part = np.clip((along_mm - self.start[tooth]) / (self.end - self.start)[tooth], 0.0, 1.0)
         power = np.array([kind.roundness for kind in self.kinds])[tooth]
-        bulge = (1.0 - np.abs(2.0 * part - 1.0) ** power)[:, None]
+        bulge = np.repeat((1.0 - np.abs(2.0 * part - 1.0) ** power)[:, None], len(FIELDS), axis=1)
+        bulge[:, FIELDS.index("margin")] = np.sin(np.pi * part) ** 1.5  # the papilla is rounder than the gap
         gap = (1.0 - part)[:, None] * self.at_gap[tooth] + part[:, None] * self.at_gap[tooth + 1]
         return gap + (self.at_middle[tooth] - gap) * bulge
 
@@ -92,7 +93,7 @@ def grow_teeth(random: np.random.Generator) -> Row:
     inner[:, 1] *= 0.66
     inner[:, 2] = np.minimum(middle[1:, 2], middle[:-1, 2]) * 0.74
     inner[:, 3] = 1.6  # the papilla
-    end = np.array([[3.6, 2.2, 1.0, 0.5, 0.0, 0.0]])
+    end = np.array([[3.6, 2.2, 1.4, 0.4, 0.0, 0.0]])
     return Row(kinds, edges[:-1], edges[1:], middle, np.concatenate((end, inner, end)), mirror)
 
 
