@@ -104,6 +104,7 @@ def _instants(data: LadderData, stiffness_n_mm: float) -> Instants:
     force_sq = np.einsum("ij,ij->i", reference.force_n, reference.force_n) * reference.contact
     return Instants(
         offset_n=jnp.asarray(data.tour.offset_n),
+        gap_mm=jnp.asarray(_without_strays(data.tour.gap_mm, data.tour.touching)),
         rough_n=jnp.asarray(data.fields["rough_n"]),
         log_windows=jnp.asarray(np.log1p(np.round(np.array(WINDOWS_S) * clock.loop_hz))),
         force_n=jnp.asarray(reference.force_n[at]),
@@ -114,6 +115,14 @@ def _instants(data: LadderData, stiffness_n_mm: float) -> Instants:
         lost_force_sq=jnp.asarray(mean(force_sq)),
         felt_per_n2=jnp.asarray(mean(reference.felt_per_n2)),
     )
+
+
+def _without_strays(gap_mm: Array, touching: NDArray[np.bool_]) -> Array:
+    """Gaps clipped to three times what 98 % of a rung's are below: a tour that lost its way says nothing of surfaces."""
+    if not touching.any():
+        return gap_mm
+    most = 3.0 * np.quantile(np.abs(gap_mm[:, :, touching]), 0.98, axis=2)[:, :, None]
+    return np.clip(gap_mm, -most, most)
 
 
 def _cost_model(data: LadderData, curves) -> CostModel:

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from hapticlod.station import CostCoefficients
+from tuning.replays import COUNTERS
 
 Array = NDArray[np.float64]
 
-COUNTERS = ("cells", "triangles", "tests", "iterations", "balls", "mapping_cells")
 _ROUNDS = 12
 _SCALE = 0.5  # relative error beyond which a tick counts little
 _FLOOR_NS = 200.0  # below this a tick's time is mostly the clock's
-_MOST_TICKS = 60_000
+_MOST_TICKS = 40_000
 _CACHE_MB = 32.0
 
 
@@ -54,8 +54,9 @@ def calibrate(records: Sequence[NDArray], level_bytes: Sequence[int], seed: int 
         weight = 1.0 / (np.maximum(fitted, _FLOOR_NS) * (1.0 + (error / _SCALE) ** 2))
         gain = _cache_gain(features[:, 1:] @ coefficients[1:], cost - coefficients[0], size, weight)
         factor = 1.0 + gain * size / (size + _CACHE_MB)
-    ratio = cost / np.maximum(np.column_stack([features[:, :1], features[:, 1:] * factor[:, None]]) @ coefficients, 1.0)
-    ratio /= np.median(ratio)
+    fitted = np.column_stack([features[:, :1], features[:, 1:] * factor[:, None]]) @ coefficients
+    dear = fitted >= np.quantile(fitted, 0.9)  # the tail of cheap ticks threatens no budget
+    ratio = cost[dear] / np.maximum(fitted[dear], 1.0)
     values = dict(zip(("base_ns", *(f"{name[:-1]}_ns" for name in COUNTERS)), map(float, coefficients), strict=True))
     return CostCoefficients(
         **values,
@@ -73,11 +74,21 @@ def _gather(records: Sequence[NDArray], level_bytes: Sequence[int], seed: int) -
     share = max(1, _MOST_TICKS // max(len(records), 1))
     counters, cost, size = [], [], []
     for rows, count in zip(records, level_bytes, strict=True):
-        drawn = rows if len(rows) <= share else rows[rng.choice(len(rows), share, replace=False)]
+        drawn = rows[_drawn(rows["cost_ns"], share, rng)]
         counters.append(np.column_stack([drawn[name].astype(np.float64) for name in COUNTERS]))
         cost.append(drawn["cost_ns"].astype(np.float64))
         size.append(np.full(len(drawn), count / 1e6))
     return np.concatenate(counters), np.concatenate(cost), np.concatenate(size)
+
+
+def _drawn(cost: Array, share: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Ticks of one record: half of them from the dearest tenth, which decides what a loop must afford."""
+    if len(cost) <= share:
+        return np.arange(len(cost))
+    order = np.argsort(cost)
+    cut = len(cost) - len(cost) // 10
+    dear = rng.choice(order[cut:], min(share // 2, len(cost) - cut), replace=False)
+    return np.concatenate([dear, rng.choice(order[:cut], min(share - len(dear), cut), replace=False)])
 
 
 def _cache_gain(work: Array, cost: Array, size_mb: Array, weight: Array) -> float:

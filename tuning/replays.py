@@ -28,6 +28,10 @@ from tuning.grid import Clock, Grid
 
 Array = NDArray[np.float64]
 MOST_RUNTIME_LEVELS = 8
+COUNTERS = ("cells", "triangles", "tests", "iterations", "balls", "mapping_cells")
+# How far below the contact the HIP is at most when a tour enters a level, as a share of the tour's mapping length: a
+# surface that lies deeper than this is not seen.
+_PRESSED_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -77,46 +81,66 @@ class Tour:
 
     Attributes:
         offset_n: (R, B, I, 3) stiffness times (SCP there - SCP of the finest level with all balls).
-        rows: (R, B, I) of the tick that entered the level. Rung 0 with all balls: of the return to it.
+        gap_mm: (R, B, I) how far the level's surface lies outward of the finest level's where that is touched, along
+            the force: what a mapping has to bridge. The SCP may slide much further once it has arrived.
+        rows: (R, B, I) of the tick that entered the level, counters and time of the slide included. Rung 0 with all
+            balls: of the return to it.
         touching: (I,) whether the finest level was in contact.
     """
 
     offset_n: Array
+    gap_mm: Array
     rows: NDArray
     touching: NDArray[np.bool_]
 
 
 def tour_ladder(
-    bench: Bench, levels: Sequence[Any], motions: Sequence[Motion], clock: Clock, l_mm: float, threads: int,
-    done: Callable[[float], None],
+    bench: Bench, levels: Sequence[Any], motions: Sequence[Motion], finest: Sequence[NDArray], clock: Clock,
+    l_mm: float, threads: int, done: Callable[[float], None],
 ) -> Tour:  # fmt: skip
-    """Visits every rung and subset at every instant of the motions."""
+    """Visits every rung and subset at every instant of the motions.
+
+    Args:
+        levels: of all rungs.
+        motions: cut to the clock.
+        finest: rows of the finest level with all balls over these motions.
+        l_mm: mapping length of the tour.
+        threads: replays at once.
+        done: told the share that is done.
+    """
     rungs, subsets = bench.grid.shape
     stops = [(r, b) for b in range(subsets) for r in range(rungs) if (r, b) != (0, 0)]
     size = MOST_RUNTIME_LEVELS - 1
     legs = [[(0, 0), *stops[i : i + size]] for i in range(0, len(stops), size)] or [[(0, 0)]]
     instants = clock.ticks // clock.ticks_per_instant
     offset = np.zeros((rungs, subsets, instants, 3))
+    gap = np.zeros((rungs, subsets, instants))
     entered = np.zeros((rungs, subsets, instants), dtype=RECORD_DTYPE)
     touching = np.zeros(instants, dtype=bool)
+    routes = [_Route(m, rows, clock, _PRESSED_SHARE * l_mm) for m, rows in zip(motions, finest, strict=True)]
 
     def go(leg: list[tuple[int, int]]) -> None:
-        scalar = _tour_config(bench, leg, l_mm)
-        renderer = bench.renderer([levels[r] for r, _ in leg], scalar)
-        rows = np.concatenate([_tour(renderer, clock.cut(m, i), clock, len(leg)) for i, m in enumerate(motions)])
-        base = rows["scp_mm"][:, 0]
+        renderer = bench.renderer([levels[r] for r, _ in leg], _tour_config(bench, leg, l_mm))
+        rows = np.concatenate([route.replayed(renderer, len(leg)) for route in routes])
+        base, contact = rows["scp_mm"][:, 0], rows["contact"][:, 0] == 1
+        out = base - rows["hip_mm"][:, 0]
+        normal = out / np.maximum(np.linalg.norm(out, axis=1), 1e-12)[:, None]
         for stop, (r, b) in enumerate(leg):
-            at = stop if stop else len(leg)  # the return closes the tour
-            entered[r, b] = rows[:, at]
+            at = 2 * stop - 1 if stop else 2 * len(leg) - 1  # the return closes the tour
+            pressed, slid = rows[:, at], rows[:, at + 1]
+            entered[r, b] = pressed
+            for name in ("cost_ns", *COUNTERS):
+                entered[r, b][name] += slid[name]
             if stop:
-                offset[r, b] = bench.station.stiffness_n_mm * (rows["scp_mm"][:, stop] - base)
+                offset[r, b] = bench.station.stiffness_n_mm * (slid["scp_mm"] - base)
+                gap[r, b] = np.einsum("ij,ij->i", pressed["scp_mm"] - base, normal) * contact
         if leg is legs[0]:
-            touching[:] = rows["contact"][:, 0] == 1
+            touching[:] = contact
 
     with ThreadPoolExecutor(threads) as pool:
         for count, _ in enumerate(pool.map(go, legs), 1):
             done(count / len(legs))
-    return Tour(offset, entered, touching)
+    return Tour(offset, gap, entered, touching)
 
 
 def _tour_config(bench: Bench, leg: list[tuple[int, int]], l_mm: float) -> Any:
@@ -133,18 +157,32 @@ def _tour_config(bench: Bench, leg: list[tuple[int, int]], l_mm: float) -> Any:
     return scalar[()]
 
 
-def _tour(renderer: Any, motion: Motion, clock: Clock, stops: int) -> NDArray:
-    """(I, stops + 1) rows: at every instant all levels, then the first again. Between instants, one tick per bin."""
-    per_bin, bins = clock.ticks_per_bin, clock.bins_per_instant
-    ends = np.arange(per_bin - 1, motion.ticks, per_bin)
-    visits = np.ones(len(ends), dtype=int)
-    visits[bins - 1 :: bins] = stops + 1
-    at = np.repeat(ends, visits)
-    route = np.concatenate([np.arange(stops), [0]]).astype(np.uint32)
-    approach = np.zeros(bins - 1, dtype=np.uint32)
-    floors = np.tile(np.concatenate([approach, route]), len(ends) // bins)
-    orientation = None if motion.orientation is None else motion.orientation[at]
-    time_s = np.arange(len(at)) / motion.loop_hz
-    crowded = Motion(time_s, motion.position_mm[at], orientation, motion.loop_hz, motion.name, {})
-    rows = run(renderer, crowded, 1, floors)
-    return rows.reshape(-1, bins + stops)[:, bins - 1 :]
+class _Route:
+    """One motion with a tour at every instant; between instants, one tick per bin.
+
+    A level is entered with the HIP drawn back to just below the finest level's contact, so that the SCP stays where
+    the mapping puts it; one tick later the HIP is where the hand has it, and the SCP slides.
+    """
+
+    def __init__(self, motion: Motion, finest: NDArray, clock: Clock, pressed_mm: float) -> None:
+        self._motion, self._clock = motion, clock
+        depth = finest["scp_mm"] - finest["hip_mm"]
+        length = np.linalg.norm(depth, axis=1, keepdims=True)
+        back = np.maximum(length - pressed_mm, 0.0) / np.maximum(length, 1e-12)
+        self._pressed = motion.position_mm + back * depth
+
+    def replayed(self, renderer: Any, stops: int) -> NDArray:
+        """(I, 1 + 2 stops) rows: the first level; pressed and slid for every other; pressed and slid for the first."""
+        per_bin, bins = self._clock.ticks_per_bin, self._clock.bins_per_instant
+        ends = np.arange(per_bin - 1, self._motion.ticks, per_bin)
+        visits = np.ones(len(ends), dtype=int)
+        visits[bins - 1 :: bins] = 1 + 2 * stops
+        at = np.repeat(ends, visits)
+        route = np.concatenate([[0], np.repeat(np.arange(1, stops), 2), [0, 0]])
+        floors = np.tile(np.concatenate([np.zeros(bins - 1), route]), len(ends) // bins).astype(np.uint32)
+        drawn = np.tile(np.concatenate([np.zeros(bins), np.tile([1, 0], stops)]), len(ends) // bins).astype(bool)
+        position = np.where(drawn[:, None], self._pressed[at], self._motion.position_mm[at])
+        orientation = None if self._motion.orientation is None else self._motion.orientation[at]
+        time_s = np.arange(len(at)) / self._motion.loop_hz
+        crowded = Motion(time_s, position, orientation, self._motion.loop_hz, self._motion.name, {})
+        return run(renderer, crowded, 1, floors).reshape(-1, bins + 2 * stops)[:, bins - 1 :]

@@ -94,7 +94,9 @@ def sample_ladder(
         cost[r, b] = costing.cost_ns(rows, int(level_bytes[r]))
 
     progress("switch between levels", 0.0)
-    tour = tour_ladder(bench, levels, cut, clock, l_mm, threads(), lambda done: progress("switch between levels", done))
+    tour = tour_ladder(
+        bench, levels, cut, first, clock, l_mm, threads(), lambda done: progress("switch between levels", done)
+    )
     switch = np.array(
         [[costing.cost_ns(row, size) for row in rows] for rows, size in zip(tour.rows, level_bytes, strict=True)]
     )

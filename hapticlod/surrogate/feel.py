@@ -51,7 +51,6 @@ def switch_events(
     edge_mm: Float[Array, " K"],
     up: Float[Array, "J I"],
     down: Float[Array, "J I"],
-    stiffness_n_mm: Float[Array, ""],
     tick_s: float,
 ) -> Switches:
     """Events of all pairs of neighbouring levels.
@@ -70,11 +69,13 @@ def switch_events(
     window = linear_weights(instants.log_windows, jnp.log1p(blend_ticks)[None])[0]
     whole = places.ends / jnp.maximum(places.shares, 1e-12)[:, :, None, None]
     offset = jnp.tensordot(whole, instants.offset_n, axes=2)  # (K, 2, I, 3)
+    gap = jnp.tensordot(whole, instants.gap_mm, axes=2)  # (K, 2, I)
     rough = jnp.tensordot(whole, jnp.tensordot(window, instants.rough_n, axes=(0, 2)), axes=2)  # (K, 2, I)
 
     finer, coarser = (slice(None, -1), slice(None), None), (slice(1, None), None, slice(None))
     fine, coarse = jnp.broadcast_arrays(offset[finer], offset[coarser])  # (J, 2, 2, I, 3)
     fine_rough, coarse_rough = jnp.broadcast_arrays(rough[finer], rough[coarser])
+    outward_mm = (gap[coarser] - gap[finer]) * jnp.array([1.0, -1.0]).reshape(2, 1, 1, 1, 1)
     old, new = jnp.stack([fine, coarse]), jnp.stack([coarse, fine])
     rough = jnp.stack([coarse_rough, fine_rough])
     edge = jnp.stack([edge_mm[1:], edge_mm[:-1]])
@@ -86,9 +87,8 @@ def switch_events(
 
     moved, force = new - old, instants.force_n + old
     size, reference = _norm(force), _norm(instants.step_n)
-    along_mm = jnp.sum(moved * force, axis=-1) / size / stiffness_n_mm
-    found = inside(along_mm, l_out) * inside(-along_mm, l_in)
-    lost = (1 - found) * (1 - inside(jnp.abs(along_mm), jnp.maximum(l_in, l_out)))
+    found = inside(outward_mm, l_out) * inside(-outward_mm, l_in)
+    lost = (1 - found) * (1 - inside(jnp.abs(outward_mm), jnp.maximum(l_in, l_out)))
     ramp = jnp.maximum(_norm(moved / ramp_ticks + instants.step_n) - reference, 0.0)
     # The jump is the largest change until the blend ends: its own ramp, or the new level's facets.
     ramp = jnp.sqrt(ramp**2 + rough**2 + 1e-16)

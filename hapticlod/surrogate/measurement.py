@@ -46,6 +46,7 @@ class Instants(eqx.Module):
     """What a switch meets. All forces in N.
 
     - `offset_n`: (R, B, I, 3) stiffness times (SCP of the rung - SCP of the finest), both from the same place.
+    - `gap_mm`: (R, B, I) how far outward the rung's surface lies of the finest's, along the force.
     - `rough_n`: (R, B, W, I) largest |dF| - |dR| of a tick, at least 0, in the window that begins here; W windows.
     - `log_windows`: (W,) ln(1 + ticks) of these windows, from 0.
     - `force_n`, `step_n`: (I, 3) reference force, and its change in one tick.
@@ -56,6 +57,7 @@ class Instants(eqx.Module):
     """
 
     offset_n: Float[Array, "R B I 3"]
+    gap_mm: Float[Array, "R B I"]
     rough_n: Float[Array, "R B W I"]
     log_windows: Float[Array, " W"]
     force_n: Float[Array, "I 3"]

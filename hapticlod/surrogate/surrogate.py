@@ -86,7 +86,7 @@ def predict(
 
     events = switch_events(
         instants, parameters, where, edge_mm, grouped(up, bins_per_instant), grouped(down, bins_per_instant),
-        measured.stiffness_n_mm, tick_s,
+        tick_s,
     )  # fmt: skip
     flow = jnp.sum(events.flow)
     # A lost contact stays lost until the reference, too, leaves the surface.
