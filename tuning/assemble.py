@@ -101,11 +101,14 @@ def _instants(data: LadderData, stiffness_n_mm: float) -> Instants:
     def mean(values: Array) -> Array:
         return values.reshape(-1, per).mean(axis=1)
 
+    jnd = reference.perception.jnd_n(np.linalg.norm(reference.force_n[at], axis=1))
     force_sq = np.einsum("ij,ij->i", reference.force_n, reference.force_n) * reference.contact
     return Instants(
         offset_n=jnp.asarray(data.tour.offset_n),
         gap_mm=jnp.asarray(_without_strays(data.tour.gap_mm, data.tour.touching)),
+        held=jnp.asarray(data.tour.held.astype(np.float64)),
         rough_n=jnp.asarray(data.fields["rough_n"]),
+        rough_noticed=jnp.asarray(reference.perception.noticed(data.fields["rough_n"] / jnd)),
         log_windows=jnp.asarray(np.log1p(np.round(np.array(WINDOWS_S) * clock.loop_hz))),
         force_n=jnp.asarray(reference.force_n[at]),
         step_n=jnp.asarray(reference.step_n[at]),
@@ -114,11 +117,12 @@ def _instants(data: LadderData, stiffness_n_mm: float) -> Instants:
         lost_felt=jnp.asarray(mean(force_sq * reference.felt_per_n2)),
         lost_force_sq=jnp.asarray(mean(force_sq)),
         felt_per_n2=jnp.asarray(mean(reference.felt_per_n2)),
+        ticks=jnp.asarray(float(per)),
     )
 
 
 def _without_strays(gap_mm: Array, touching: NDArray[np.bool_]) -> Array:
-    """Gaps clipped to three times what 98 % of a rung's are below: a tour that lost its way says nothing of surfaces."""
+    """Gaps clipped to three times a rung's 98th percentile: a tour that lost its way says nothing of surfaces."""
     if not touching.any():
         return gap_mm
     most = 3.0 * np.quantile(np.abs(gap_mm[:, :, touching]), 0.98, axis=2)[:, :, None]

@@ -85,13 +85,18 @@ class Tour:
             the force: what a mapping has to bridge. The SCP may slide much further once it has arrived.
         rows: (R, B, I) of the tick that entered the level, counters and time of the slide included. Rung 0 with all
             balls: of the return to it.
-        touching: (I,) whether the finest level was in contact.
+        held: (R, B, I) whether the level was in contact, the hand being where it was.
     """
 
     offset_n: Array
     gap_mm: Array
     rows: NDArray
-    touching: NDArray[np.bool_]
+    held: NDArray[np.bool_]
+
+    @property
+    def touching(self) -> NDArray[np.bool_]:
+        """(I,) whether the finest level was in contact."""
+        return self.held[0, 0]
 
 
 def tour_ladder(
@@ -116,7 +121,7 @@ def tour_ladder(
     offset = np.zeros((rungs, subsets, instants, 3))
     gap = np.zeros((rungs, subsets, instants))
     entered = np.zeros((rungs, subsets, instants), dtype=RECORD_DTYPE)
-    touching = np.zeros(instants, dtype=bool)
+    held = np.zeros((rungs, subsets, instants), dtype=bool)
     routes = [_Route(m, rows, clock, _PRESSED_SHARE * l_mm) for m, rows in zip(motions, finest, strict=True)]
 
     def go(leg: list[tuple[int, int]]) -> None:
@@ -131,16 +136,15 @@ def tour_ladder(
             entered[r, b] = pressed
             for name in ("cost_ns", *COUNTERS):
                 entered[r, b][name] += slid[name]
+            held[r, b] = slid["contact"] == 1 if stop else contact
             if stop:
                 offset[r, b] = bench.station.stiffness_n_mm * (slid["scp_mm"] - base)
                 gap[r, b] = np.einsum("ij,ij->i", pressed["scp_mm"] - base, normal) * contact
-        if leg is legs[0]:
-            touching[:] = contact
 
     with ThreadPoolExecutor(threads) as pool:
         for count, _ in enumerate(pool.map(go, legs), 1):
             done(count / len(legs))
-    return Tour(offset, gap, entered, touching)
+    return Tour(offset, gap, entered, held)
 
 
 def _tour_config(bench: Bench, leg: list[tuple[int, int]], l_mm: float) -> Any:

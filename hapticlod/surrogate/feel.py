@@ -24,16 +24,21 @@ _SOFT_SHARE = 0.05
 class Switches(eqx.Module):
     """Every kind of switch at every instant, as a weighted set of events.
 
-    - `flow`: (E, I) expected switches in contact; E runs over direction, pair of levels, and measured rung pair.
+    - `flow`: (E, I) expected switches with contact before or after; E runs over direction, pair of levels, and
+      measured rung pair.
+    - `mapped`: (E, I) share of them that had contact before: these are mapped.
     - `jump_n`: (E, I) the metric's jump: how much more the force changes in one tick than the reference's.
-    - `distance_sq`: (E, I) |k d|^2, N^2; 0 where contact is lost.
+    - `noticed`: (E, I) probability that it is noticed.
+    - `distance_sq`: (E, I) |k d|^2, N^2; 0 where contact ends or begins with the switch.
     - `cross`: (E, I) e_j . (e_i - e_j), N^2: what the fading offset adds to the new level's own error.
-    - `lost`: (E, I) probability that contact is lost.
+    - `lost`: (E, I) probability that a mapping finds nothing.
     - `entered_edge_mm`: (E, 1) mean edge of the level entered.
     """
 
     flow: Float[Array, "E I"]
+    mapped: Float[Array, "E I"]
     jump_n: Float[Array, "E I"]
+    noticed: Float[Array, "E I"]
     distance_sq: Float[Array, "E I"]
     cross: Float[Array, "E I"]
     lost: Float[Array, "E I"]
@@ -51,6 +56,7 @@ def switch_events(
     edge_mm: Float[Array, " K"],
     up: Float[Array, "J I"],
     down: Float[Array, "J I"],
+    perception: Perception,
     tick_s: float,
 ) -> Switches:
     """Events of all pairs of neighbouring levels.
@@ -65,22 +71,28 @@ def switch_events(
     """
     l_in, l_out = jnp.exp(parameters.log_l_in), jnp.exp(parameters.log_l_out)
     blend_ticks = parameters.blend_s / tick_s
-    ramp_ticks = jnp.sqrt(1.0 + blend_ticks**2)
-    window = linear_weights(instants.log_windows, jnp.log1p(blend_ticks)[None])[0]
+    ramp_ticks = (1.0 + blend_ticks**4) ** 0.25
+    watched = _watched_ticks(blend_ticks, jnp.sum(up, axis=0) + jnp.sum(down, axis=0), instants.ticks)
+    window = linear_weights(instants.log_windows, jnp.log1p(watched))  # (I, W)
     whole = places.ends / jnp.maximum(places.shares, 1e-12)[:, :, None, None]
     offset = jnp.tensordot(whole, instants.offset_n, axes=2)  # (K, 2, I, 3)
     gap = jnp.tensordot(whole, instants.gap_mm, axes=2)  # (K, 2, I)
-    rough = jnp.tensordot(whole, jnp.tensordot(window, instants.rough_n, axes=(0, 2)), axes=2)  # (K, 2, I)
+    held = jnp.tensordot(whole, instants.held, axes=2)
+    rough = jnp.tensordot(whole, jnp.einsum("iw,rbwi->rbi", window, instants.rough_n), axes=2)
+    rough_noticed = jnp.tensordot(whole, jnp.einsum("iw,rbwi->rbi", window, instants.rough_noticed), axes=2)
 
     finer, coarser = (slice(None, -1), slice(None), None), (slice(1, None), None, slice(None))
     fine, coarse = jnp.broadcast_arrays(offset[finer], offset[coarser])  # (J, 2, 2, I, 3)
-    fine_rough, coarse_rough = jnp.broadcast_arrays(rough[finer], rough[coarser])
+    entered = lambda x: jnp.stack(jnp.broadcast_arrays(x[coarser], x[finer]))
     outward_mm = (gap[coarser] - gap[finer]) * jnp.array([1.0, -1.0]).reshape(2, 1, 1, 1, 1)
     old, new = jnp.stack([fine, coarse]), jnp.stack([coarse, fine])
-    rough = jnp.stack([coarse_rough, fine_rough])
+    rough, rough_noticed = entered(rough), entered(rough_noticed)
+    held_new = entered(held)
+    held_old = jnp.flip(held_new, axis=0)
+    either, both = held_old + held_new - held_old * held_new, held_old * held_new
     edge = jnp.stack([edge_mm[1:], edge_mm[:-1]])
     share = places.shares[finer] * places.shares[coarser]  # (J, 2, 2)
-    flow = jnp.stack([up, down])[:, :, None, None] * share[..., None] * instants.contact
+    flow = jnp.stack([up, down])[:, :, None, None] * share[..., None] * either
 
     def inside(length, limit):
         return jax.nn.sigmoid((limit - length) / (_SOFT_SHARE * limit))
@@ -88,22 +100,37 @@ def switch_events(
     moved, force = new - old, instants.force_n + old
     size, reference = _norm(force), _norm(instants.step_n)
     found = inside(outward_mm, l_out) * inside(-outward_mm, l_in)
-    lost = (1 - found) * (1 - inside(jnp.abs(outward_mm), jnp.maximum(l_in, l_out)))
+    mapped = held_old / jnp.maximum(either, 1e-9)
+    lost = both * (1 - found) * (1 - inside(jnp.abs(outward_mm), jnp.maximum(l_in, l_out)))
     ramp = jnp.maximum(_norm(moved / ramp_ticks + instants.step_n) - reference, 0.0)
-    # The jump is the largest change until the blend ends: its own ramp, or the new level's facets.
-    ramp = jnp.sqrt(ramp**2 + rough**2 + 1e-16)
-    jump = (1 - lost) * ramp + lost * jnp.maximum(size - reference, 0.0)
-    distance_sq = jnp.sum(moved**2, axis=-1) * (1 - lost)
-    cross = -jnp.sum(new * moved, axis=-1) * (1 - lost)
-    events = [x.reshape(-1, x.shape[-1]) for x in (flow, jump, distance_sq, cross, lost)]
-    entered = jnp.broadcast_to(edge[:, :, None, None], flow.shape[:-1]).reshape(-1, 1)
-    return Switches(*events, entered)
-
-
-def noticed_switches(switches: Switches, instants: Instants, perception: Perception) -> Float[Array, ""]:
-    """Expected number of switches whose jump is noticed."""
+    # The jump is the largest change until the blend ends: its own ramp, or the new level's facets. Whether either is
+    # noticed is interpolated as a probability: facets snap seldom, and the mean of nothing and a snap is neither.
+    # Where contact ends or begins with the switch nothing is blended.
+    whole_step = jnp.maximum(_norm(moved + instants.step_n) - reference, 0.0)
+    gone = lost * jnp.maximum(size - reference, 0.0) + (1 - lost) * whole_step
+    blended = both * (1 - lost)
+    jump = blended * jnp.sqrt(ramp**2 + rough**2 + 1e-16) + (1 - blended) * gone
     jnd = perception.jnd_n(_norm(instants.force_n))
-    return jnp.sum(switches.flow * perception.noticed(switches.jump_n / jnd))
+    unnoticed = (1 - perception.noticed(ramp / jnd)) * (1 - rough_noticed)
+    noticed = blended * (1 - unnoticed) + (1 - blended) * perception.noticed(gone / jnd)
+    distance_sq = jnp.sum(moved**2, axis=-1) * blended
+    cross = -jnp.sum(new * moved, axis=-1) * blended
+    events = [x.reshape(-1, x.shape[-1]) for x in (flow, mapped, jump, noticed, distance_sq, cross, lost)]
+    entered_edge = jnp.broadcast_to(edge[:, :, None, None], flow.shape[:-1]).reshape(-1, 1)
+    return Switches(*events, entered_edge)
+
+
+def _watched_ticks(
+    blend_ticks: Float[Array, ""], flow: Float[Array, " I"], ticks_per_instant: float
+) -> Float[Array, " I"]:
+    """How long after a switch its jump is looked for: until the blend ends or, in expectation, the next switch comes.
+
+    The rate of other switches is that of the neighbouring instants (about a tenth of a second).
+    """
+    near = jnp.convolve(flow, jnp.ones(7), mode="same")
+    rate = jnp.maximum(near - flow, 0.0) / (6 * ticks_per_instant)
+    load = rate * blend_ticks
+    return blend_ticks * -jnp.expm1(-load - 1e-6) / (load + 1e-6)
 
 
 def blend_square(

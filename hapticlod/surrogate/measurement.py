@@ -47,18 +47,23 @@ class Instants(eqx.Module):
 
     - `offset_n`: (R, B, I, 3) stiffness times (SCP of the rung - SCP of the finest), both from the same place.
     - `gap_mm`: (R, B, I) how far outward the rung's surface lies of the finest's, along the force.
+    - `held`: (R, B, I) 1 where the rung is in contact, else 0.
     - `rough_n`: (R, B, W, I) largest |dF| - |dR| of a tick, at least 0, in the window that begins here; W windows.
+    - `rough_noticed`: (R, B, W, I) probability that it is noticed as a jump.
     - `log_windows`: (W,) ln(1 + ticks) of these windows, from 0.
     - `force_n`, `step_n`: (I, 3) reference force, and its change in one tick.
     - `contact`: (I,) share of the instant's ticks in which the reference is in contact.
     - `starts`: (I,) instants that begin a motion.
     - `lost_felt`, `lost_force_sq`: (I,) what `felt` and `force_sq` would be with no contact.
+    - `ticks`: that one instant stands for.
     - `felt_per_n2`: (I,) felt share / JND^2: what an error of 1 N would be felt as.
     """
 
     offset_n: Float[Array, "R B I 3"]
     gap_mm: Float[Array, "R B I"]
+    held: Float[Array, "R B I"]
     rough_n: Float[Array, "R B W I"]
+    rough_noticed: Float[Array, "R B W I"]
     log_windows: Float[Array, " W"]
     force_n: Float[Array, "I 3"]
     step_n: Float[Array, "I 3"]
@@ -67,6 +72,7 @@ class Instants(eqx.Module):
     lost_felt: Float[Array, " I"]
     lost_force_sq: Float[Array, " I"]
     felt_per_n2: Float[Array, " I"]
+    ticks: Float[Array, ""]
 
 
 class LadderMeasurement(eqx.Module):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hapticlod.surrogate.cost import longest_run, tick_costs
-from hapticlod.surrogate.feel import blend_band_square, blend_square, noticed_switches, switch_events
+from hapticlod.surrogate.feel import blend_band_square, blend_square, switch_events
 from hapticlod.surrogate.ladder_curves import LadderCurves, Places, linear_weights, places
 from hapticlod.surrogate.measurement import LadderMeasurement
 from hapticlod.surrogate.parameters import Parameters
@@ -86,9 +86,9 @@ def predict(
 
     events = switch_events(
         instants, parameters, where, edge_mm, grouped(up, bins_per_instant), grouped(down, bins_per_instant),
-        tick_s,
+        measured.perception, tick_s,
     )  # fmt: skip
-    flow = jnp.sum(events.flow)
+    flow, tried = jnp.sum(events.flow), jnp.sum(events.flow * events.mapped)
     # A lost contact stays lost until the reference, too, leaves the surface.
     losing = jnp.clip(jnp.sum(events.flow * events.lost, axis=0), 0.0, 1.0)
     stays = jnp.where(instants.starts, 0.0, jnp.minimum(2 * instants.contact, 1.0))
@@ -136,10 +136,10 @@ def predict(
         "switch_jump_p50_n": some * smooth_quantile(jumps, flows, 0.5, jump_width),
         "switch_jump_p99_n": some * smooth_quantile(jumps, flows, 0.99, jump_width),
         "switch_jump_max_n": some * smooth_quantile(jumps, flows, 1 - 0.5 / jnp.maximum(switched, 1.0), jump_width),
-        "discontinuity_per_s": noticed_switches(events, instants, measured.perception) / (either * tick_s),
+        "discontinuity_per_s": jnp.sum(events.flow * events.noticed) / (either * tick_s),
         "facet_vibration_n": jnp.sqrt(jnp.maximum(band, 0.0) / both + 1e-14),
         "switches_per_s": switching.switches / measured.seconds,
-        "mapping_hit_rate": 1 - jnp.sum(events.flow * events.lost) / switched,
+        "mapping_hit_rate": 1 - jnp.sum(events.flow * events.lost) / jnp.maximum(tried, 1e-6),
         "false_release_per_min": (total(mixed(feel.release)) + jnp.sum(losing)) * 60 / measured.seconds,
         "pop_through_per_min": total(mixed(feel.pop)) * 60 / measured.seconds,
         "penetration_p99_mm": smooth_quantile(depths, touching, 0.99, 0.01 * jnp.max(depths) + 1e-6),
