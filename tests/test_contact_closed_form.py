@@ -1,5 +1,7 @@
 """The tick against what can be worked out by hand: plane, sphere, force law, limits, speed, switching, friction."""
 
+from typing import Any
+
 import contact_shapes as shapes
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ FORCE_CLAMPED, SLEW_LIMITED, START_INSIDE = 1 << 6, 1 << 7, 1 << 9
 MICRON_MM = 1e-3
 
 
-def plane_core(radius_mm: float = 0.0, levels: int = 1, **fields: object) -> Core:
+def plane_core(radius_mm: float = 0.0, levels: int = 1, **fields: Any) -> Core:
     return Core([shapes.plane(cells=16)] * levels, point_or_ball(radius_mm), **fields)
 
 

@@ -1,5 +1,7 @@
 """One model in other units gives the same contacts; bad input gives an error bit and a safe force, never a surprise."""
 
+from typing import Any
+
 import contact_shapes as shapes
 import numpy as np
 import pytest
@@ -35,7 +37,7 @@ def test_metres_and_micrometres_give_the_same_contacts(scale: float, radius_mm: 
     assert np.abs(here["scp_mm"] - there["scp_mm"] / scale).max() < 1e-5 * extent_mm
 
 
-def touching(**fields: object) -> tuple[Core, np.void]:
+def touching(**fields: Any) -> tuple[Core, np.void]:
     """A point 0.5 mm deep in a plane after three ticks."""
     core = Core([MESHES["plane"]], point_or_ball(0.0), **fields)
     core.tick(0.0, np.array([0.1, 0.2, 0.3]))
