@@ -27,20 +27,20 @@ class SurfaceIndex:
     """Finds closest points on a mesh (vertices (n, 3) mm, faces (m, 3), none without area).
 
     Large faces are cut into pieces, and the pieces sorted by radius (centroid to farthest corner) into a few classes
-    with a tree of centroids each. A piece of a class can be nearer than a bound d only if its centroid is nearer than d
-    plus the greatest radius of the class: so the result is exact, whatever the faces look like.
+    with a tree of centroids each. The piece of the nearest centroid gives a bound d; a piece of a class can be nearer
+    only if its centroid is nearer than d plus the greatest radius of the class. So the result is exact.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         corners, self._face = _pieces(vertices[faces])
         centroid, radius = _centroid_and_radius(corners)
         self._frames = _local_frames(corners[:, 0], corners[:, 1], corners[:, 2])
+        # Median splits cost more to build than they save in queries here.
+        self._all = KDTree(centroid, balanced_tree=False, compact_nodes=False)
         self._classes = []
         for members in _size_classes(radius):
-            # Median splits cost more to build than they save in queries here.
             tree = KDTree(centroid[members], balanced_tree=False, compact_nodes=False)
             self._classes.append((members, tree, float(radius[members].max())))
-        self._classes.sort(key=lambda entry: -len(entry[0]))
 
     def nearest(self, points: np.ndarray) -> Nearest:
         """Closest points on the mesh for points (k, 3) mm, finite."""
@@ -52,9 +52,8 @@ class SurfaceIndex:
     def _nearest(self, points: np.ndarray) -> np.ndarray:
         best = np.full(len(points), np.inf)
         piece = np.zeros(len(points), dtype=np.int64)
-        members, tree, _ = self._classes[0]
-        _, near = tree.query(points, workers=_WORKERS)
-        self._keep_nearer(points, np.arange(len(points)), members[near], best, piece)
+        _, near = self._all.query(points, workers=_WORKERS)
+        self._keep_nearer(points, np.arange(len(points)), np.asarray(near), best, piece)
         for members, tree, radius in self._classes:
             reach = (np.sqrt(best) + radius) * (1.0 + 1e-9)
             lists = tree.query_ball_point(points, reach, workers=_WORKERS, return_sorted=False)

@@ -66,7 +66,10 @@ class ScanSurface:
         points, on = spread_points(vertices, faces, SAMPLES)
         to_scan = self.index.nearest(points)
         around = self._around(faces, on, to_scan.distance_mm, corners=False)
-        back = self.index.nearest(_on_faces(vertices, faces[around])).distance_mm
+        if len(around) > _SUSPECTS // 3:  # faces smaller than the gaps between samples: their corners will do
+            back = self.index.nearest(vertices[np.unique(faces[around])]).distance_mm
+        else:
+            back = self.index.nearest(_on_faces(vertices, faces[around])).distance_mm
         facing = np.einsum("ij,ij->i", _normals(vertices, faces[on]), _normals(self.vertices, self.faces[to_scan.face]))
         return Deviation(
             rms_mm=float(np.sqrt(0.5 * (np.mean(to_mesh**2) + np.mean(to_scan.distance_mm**2)))),

@@ -110,7 +110,13 @@ def runtime_levels(config: LodConfig, ladder: Ladder) -> list[Any]:
 
 
 def replay_levels(
-    levels: list[Any], config: LodConfig, origin_mm: np.ndarray, motion: Motion, tool: Tool, station: Station, repeats: int
+    levels: list[Any],
+    config: LodConfig,
+    origin_mm: np.ndarray,
+    motion: Motion,
+    tool: Tool,
+    station: Station,
+    repeats: int,
 ) -> Record:
     """`replay` on levels that are already built (their meshes must be those the configuration names)."""
     balls = np.column_stack([tool.centres_mm, tool.radii_mm])

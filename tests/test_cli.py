@@ -1,12 +1,8 @@
 """The command line: what users type, what they read, and what a fault looks like to them."""
 
-import json
-import os
-import signal
 import struct
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest

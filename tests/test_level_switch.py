@@ -96,12 +96,6 @@ def switched(where: Body, name: str, mapping: int, blend_s: float = 0.0, ticks: 
     return rows, changed
 
 
-STEEP_EDGE = pytest.mark.xfail(
-    strict=True, reason="1 of 3200: rests in front of an edge whose face leans over the line"
-)
-WEDGED = pytest.mark.xfail(strict=True, reason="2 of 3188: wedged in a pit that is narrower on the next level")
-
-
 @pytest.mark.parametrize(
     ("shape", "name"),
     [
@@ -109,8 +103,8 @@ WEDGED = pytest.mark.xfail(strict=True, reason="2 of 3188: wedged in a pit that 
         ("globe", "0.5"),
         ("globe", "burr"),
         ("crop", "0"),
-        pytest.param("crop", "0.5", marks=STEEP_EDGE),
-        pytest.param("crop", "burr", marks=WEDGED),
+        ("crop", "0.5"),
+        ("crop", "burr"),
     ],
 )
 def test_two_sided_mapping_keeps_every_contact(shape: str, name: str, request: pytest.FixtureRequest) -> None:

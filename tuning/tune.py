@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import numpy as np
@@ -127,7 +128,8 @@ def tune(
     ladder = build_ladder(scan, progress=stages)
     stages("prepare the motions", 0.0)
     seen, apart = _motions(scan, station, tool, motions, seed)
-    grid, clock = make_grid(ladder.rungs, tool), make_clock(seen)
+    rungs: list[Any] = list(ladder.rungs)
+    grid, clock = make_grid(rungs, tool), make_clock(seen)
     bench = Bench(ladder.rungs, scan.centre_mm, tool, station, grid)
     offset_mm = _offset_mm(ladder)
     data, costing = sample_ladder(bench, seen, clock, load_perception(), 4.0 * offset_mm, 2, stages)

@@ -72,7 +72,7 @@ def switch_events(
     l_in, l_out = jnp.exp(parameters.log_l_in), jnp.exp(parameters.log_l_out)
     blend_ticks = parameters.blend_s / tick_s
     ramp_ticks = (1.0 + blend_ticks**4) ** 0.25
-    watched = _watched_ticks(blend_ticks, jnp.sum(up, axis=0) + jnp.sum(down, axis=0), instants.ticks)
+    watched = _watched_ticks(blend_ticks, jnp.sum(up, axis=0) + jnp.sum(down, axis=0), instants.ticks)  # pyright: ignore[reportArgumentType] - a scalar
     window = linear_weights(instants.log_windows, jnp.log1p(watched))  # (I, W)
     whole = places.ends / jnp.maximum(places.shares, 1e-12)[:, :, None, None]
     offset = jnp.tensordot(whole, instants.offset_n, axes=2)  # (K, 2, I, 3)
@@ -117,7 +117,7 @@ def switch_events(
     cross = -jnp.sum(new * moved, axis=-1) * blended
     events = [x.reshape(-1, x.shape[-1]) for x in (flow, mapped, jump, noticed, distance_sq, cross, lost)]
     entered_edge = jnp.broadcast_to(edge[:, :, None, None], flow.shape[:-1]).reshape(-1, 1)
-    return Switches(*events, entered_edge)
+    return Switches(*events, entered_edge)  # pyright: ignore[reportCallIssue] - seven, listed above
 
 
 def _watched_ticks(

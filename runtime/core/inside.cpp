@@ -104,20 +104,29 @@ SurfaceSide surface_side(ContactSolver& solver, std::span<const SolverBall> ball
     return side;
 }
 
-bool place_on_closest(ContactSolver& solver, std::span<const SolverBall> balls, double bound_mm,
-                      const ContactMemory* memory, TickCounters& counters) {
+namespace {
+
+// Frees the deepest ball again and again. In a groove the walls take turns; jointly: each push keeps free what the
+// pushes before it freed, the least way out of all their planes.
+bool push_out(ContactSolver& solver, std::span<const SolverBall> balls, double bound_mm, const ContactMemory* memory,
+              bool jointly, TickCounters& counters) {
     const Vec3 start = solver.position();
     const double skin = solver.tolerances().skin;
-    // Each push frees the deepest ball; in a groove the walls take turns.
-    for (int k = 0; k < 32; ++k) {
+    PlaneSet planes;
+    for (int k = 0; k < (jointly ? kMaxPlanes : 32); ++k) {
         const SurfaceSide side = surface_side(solver, balls, bound_mm, counters);
         if (!side.found) break;
         Vec3 normal = side.normal;
         // Out on the side that was touched: in a narrow groove a wall may well face against the force.
         if (memory != nullptr) normal = normal * memory->side;
         const double kept = balls[side.ball].kept;
-        const Vec3 to = side.point + normal * kept;
-        Vec3 x = solver.position() + (to - (solver.position() + balls[side.ball].offset));
+        Vec3 x = side.point + normal * kept - balls[side.ball].offset;
+        if (jointly) {
+            planes.planes[planes.count++] = {normal, dot(normal, x - start), side.point};
+            const PlaneSolution least = nearest_feasible(planes, {}, false, 1e-3 * skin);
+            if (!least.feasible) break;
+            x = start + least.y;
+        }
         solver.place(x);
         solver.candidates().gather(x, 4.0 * skin, balls, counters);
         const double clearance = least_clearance(solver.candidates(), x, balls);
@@ -128,6 +137,14 @@ bool place_on_closest(ContactSolver& solver, std::span<const SolverBall> balls, 
     }
     solver.place(start);
     return false;
+}
+
+}  // namespace
+
+bool place_on_closest(ContactSolver& solver, std::span<const SolverBall> balls, double bound_mm,
+                      const ContactMemory* memory, TickCounters& counters) {
+    return push_out(solver, balls, bound_mm, memory, false, counters) ||
+           push_out(solver, balls, bound_mm, memory, true, counters);
 }
 
 }  // namespace hapticlod

@@ -14,8 +14,6 @@ Interval blocked(const Triangle& t, const Vec3& p, const Vec3& n, double c, doub
                  double side) {
     const Vec3 face = cross(t.b - t.a, t.c - t.a);
     const double length = norm(face);
-    // Resting against a face from its other side would mean having passed through it.
-    const bool facing = !(length > 0.0) || side * dot(face, n) > -0.1 * length;
     const Vec3 lo = p - n * c, hi = p + n * c, up = n * (2.0 * c);
     const bool blocked_lo = closest_on_triangle(lo, t).distance2 < kept * kept;
     const bool blocked_hi = closest_on_triangle(hi, t).distance2 < kept * kept;
@@ -23,7 +21,13 @@ Interval blocked(const Triangle& t, const Vec3& p, const Vec3& n, double c, doub
     if (enter > 1.0) return {1.0, -1.0, false};
     const double leave = blocked_hi ? 0.0 : time_of_touch(t, hi, -up, kept, precision);
     if (leave > 1.0) return {1.0, -1.0, false};
-    return {-c + 2.0 * c * enter, blocked_hi ? 2.0 * c : c - 2.0 * c * leave, facing};
+    const double top = blocked_hi ? 2.0 * c : c - 2.0 * c * leave;
+    // Resting against a face from its other side would mean having passed through it. On an edge the side of the face
+    // that the ball is on counts: a steep face next to it may lean over the way out.
+    const Vec3 at = p + n * top;
+    const bool facing = !(length > 0.0) || side * dot(face, n) > -0.1 * length ||
+                        side * dot(face, at - closest_on_triangle(at, t).point) > 0.0;
+    return {-c + 2.0 * c * enter, top, facing};
 }
 
 }  // namespace
