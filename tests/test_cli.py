@@ -14,15 +14,16 @@ SPHERE_OFF = "OFF\n4 4 0\n0 0 0\n10 0 0\n0 10 0\n0 0 10\n3 0 2 1\n3 0 1 3\n3 1 2
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """Run a command that must be refused, and return the one line it printed."""
+    """Run a command that must be refused, and return the one line it printed under its stages."""
     status = tuning.cli.run([str(word) for word in words])
     shown = capsys.readouterr()
     assert status == 2
     assert shown.out == ""
     assert "Traceback" not in shown.err
     lines = shown.err.splitlines()
-    assert len(lines) == 1, shown.err
-    return lines[0]
+    stages = [line for line in lines[:-1] if not (line.endswith(" ...") or line.startswith("    "))]
+    assert stages == [], shown.err
+    return lines[-1]
 
 
 @pytest.fixture

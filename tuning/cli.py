@@ -29,6 +29,7 @@ app = App(
     help="Tune levels of detail of a scan for a haptic loop, and look into the result.",
     version=_version,
     help_format="plaintext",
+    suppress_keyboard_interrupt=False,  # ours to answer: the user is told that nothing was written
 )
 app.command("tuning.commands.tune:tune_command", name="tune", help="Tune a scan for a station and a tool.")
 app.command("tuning.commands.inspect:inspect_command", name="inspect", help="Show what a bundle holds.")

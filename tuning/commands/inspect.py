@@ -52,7 +52,7 @@ def inspect_command(bundle: Path, /) -> None:
     measured = held.manifest.get("measured")
     if isinstance(measured, dict):
         known = [c for c in COLUMNS if isinstance(measured.get(c.key), int | float)]
-        said = ", ".join(f"{' '.join(c.heading.split())} {c.text(measured)}" for c in known)
+        said = ", ".join(f"{c.name} {c.text(measured)}" for c in known)
         line("measured", said)
     if isinstance(held.manifest.get("explanation"), str):
         Console(highlight=False).print(held.manifest["explanation"], markup=False)
