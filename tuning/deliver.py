@@ -14,6 +14,7 @@ from hapticlod.bundle import write_bundle
 from hapticlod.replay import Record, replay_levels, runtime_levels
 
 if TYPE_CHECKING:
+    from hapticlod.config import LodConfig
     from hapticlod.motion import Motion
     from hapticlod.scan import Scan
     from hapticlod.station import Station
@@ -26,7 +27,7 @@ def document(result: TuneResult) -> dict[str, Any]:
 
     A metric that has no value (the hit rate of mappings that never happened) is null.
     """
-    config = result.config
+    config = as_built(result)
     levels = [{"triangles": x.triangles, "cell_mm": x.cell_mm, "balls": x.balls} for x in config.levels]
     baselines = {
         _key(name): {**_numbers(metrics), "feasible": result.feasible[name]}
@@ -51,16 +52,26 @@ def document(result: TuneResult) -> dict[str, Any]:
     }
 
 
+def as_built(result: TuneResult) -> LodConfig:
+    """The tuned configuration with the triangle counts that its levels really have.
+
+    A collapse removes triangles in pairs, so that a rung may miss the count it was asked for by one or two.
+    """
+    config = result.config
+    real = [x.model_copy(update={"triangles": result.ladder.at(x.triangles).triangles}) for x in config.levels]
+    return config.changed(levels=real)
+
+
 def write_tuned(path: Path, result: TuneResult, scan: Scan, station: Station, tool: Tool, seed: int) -> None:
     """Write the bundle of a tuning run. The golden motion is the one, of those kept apart, that shows most levels.
 
     Raises:
         InputError: the file cannot be written.
     """
-    levels = runtime_levels(result.config, result.ladder)
+    config = as_built(result)
+    levels = runtime_levels(config, result.ladder)
     shown = [
-        (motion, replay_levels(levels, result.config, scan.centre_mm, motion, tool, station, 1))
-        for motion in result.motions
+        (motion, replay_levels(levels, config, scan.centre_mm, motion, tool, station, 1)) for motion in result.motions
     ]
     golden, record = max(shown, key=lambda pair: _variety(pair[1]))
     told = document(result)
@@ -68,7 +79,7 @@ def write_tuned(path: Path, result: TuneResult, scan: Scan, station: Station, to
     write_bundle(
         path,
         levels=levels,
-        config=result.config.to_runtime(station, tool, scan.centre_mm),
+        config=config.to_runtime(station, tool, scan.centre_mm),
         tool=tool,
         manifest={
             "hapticlod": hapticlod.__version__,
@@ -83,7 +94,7 @@ def write_tuned(path: Path, result: TuneResult, scan: Scan, station: Station, to
             },
             "tool": {"name": tool.name, "balls": tool.balls, "digest": tool.digest},
             "station": station.model_dump(mode="json"),
-            "config": result.config.model_dump(mode="json"),
+            "config": config.model_dump(mode="json"),
             "motions": [_about(motion) for motion in result.motions],
             "golden_motion": _about(golden),
             **told,
