@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 _SWITCH_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
 _TAIL_SHARE = 0.02
 _LEAST_SPREAD = 0.02
+# The number of contact cycles is a shape: in steps, so that compiled code fits other motions.
+_CYCLE_STEP = 64
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
         log_bytes=curves(log_bytes),
         log_cell_edges=jnp.asarray(np.log(np.array(grid.cell_edges))),
         stiffness_n_mm=jnp.asarray(stiffness_n_mm),
-        cycles=int(reference.cycle.max(initial=0)) + 1,
+        cycles=-(-int(reference.cycle.max(initial=0) + 1) // _CYCLE_STEP) * _CYCLE_STEP,
         tick_s=tick_s,
         dwell_ticks=round(dwell_s / tick_s),
         perception=reference.perception,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -18,15 +19,18 @@ from hapticlod.surrogate.measurement import LadderMeasurement
 from hapticlod.surrogate.surrogate import predict
 from tuning.optimise import SequentialQuadratic
 from tuning.sample import threads
-from tuning.space import Space
+from tuning.space import Space, decode
 
 # One noticed jump per second weighs as much as one JND of felt error. Needs people; a preset of the preference.
 DISCONTINUITY_WEIGHT = 1.0
 # Ties go to less work: a hundredth of a JND for a budget's worth of mean cost.
 COST_WEIGHT = 0.01
 STARTS = 4
-MOST_STEPS = 40
 MARGIN = 0.98  # of the budget that the surrogate may use
+# Switching is sharpened in stages: a soft trigger sees further, a sharp one counts right (PERCEPTION.md section 2).
+SOFT, SHARP = 6.0, 20.0
+MOST_STEPS = 20
+_FEASIBLE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,31 @@ class Found:
     excess: float
     predicted: dict[str, float]
 
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Smaller is better: one that keeps the limits beats any that does not."""
+        broken = self.excess > _FEASIBLE
+        return broken, self.excess if broken else self.objective
+
+
+class Problem(eqx.Module):
+    """Everything that the compiled code takes as an argument: one compilation serves all scans of a shape.
+
+    - `log_low`, `log_span`: (n,) the space's bounds.
+    - `levels`: how many are used.
+    - `budget_us`, `memory_mb`: limits. `station_us`: the station's own budget, for miss rates and the cost's weight.
+    - `rows`, `row_limits`: order of levels.
+    """
+
+    log_low: Float[Array, " n"]
+    log_span: Float[Array, " n"]
+    levels: Array
+    budget_us: Array
+    memory_mb: Array
+    station_us: Array
+    rows: Float[Array, "p n"]
+    row_limits: Float[Array, " p"]
+
 
 def objective(metrics: Any, budget_us: Any) -> Any:
     """What is minimised: felt error plus noticed jumps, and a trace of cost to settle ties."""
@@ -56,59 +85,83 @@ def objective(metrics: Any, budget_us: Any) -> Any:
     )
 
 
+def _metrics(x: Float[Array, " n"], measured: LadderMeasurement, problem: Problem, sharpness: Array) -> Any:
+    parameters = decode(problem.log_low + x * problem.log_span, problem.levels)
+    return predict(measured, parameters, problem.station_us, sharpness)
+
+
+def value_and_excess(x: Float[Array, " n"], args: Any) -> tuple[Array, Array]:
+    """Objective, and ln of p99.9 cost and memory over their limits. `args`: measured, problem, sharpness."""
+    measured, problem, sharpness = args
+    found = _metrics(x, measured, problem, sharpness)
+    over = [found["loop_cost_p999_us"] / problem.budget_us, found["memory_mb"] / problem.memory_mb]
+    return objective(found, problem.station_us), jnp.log(jnp.stack(over))
+
+
+@eqx.filter_jit
+def _solve(x0: Array, measured: LadderMeasurement, problem: Problem, sharpness: Array) -> Array:
+    options = {"lower": jnp.zeros_like(x0), "upper": jnp.ones_like(x0), "linear": (problem.rows, problem.row_limits)}
+    solver = SequentialQuadratic()
+    args = (measured, problem, sharpness)
+    found = optx.minimise(value_and_excess, solver, x0, args, options, has_aux=True, max_steps=MOST_STEPS, throw=False)
+    return found.value
+
+
+_look = eqx.filter_jit(_metrics)
+
+
 class Search:
-    """Optimises on one surrogate. Compiled once; level counts, limits and starts are arguments."""
+    """Optimises on one surrogate; level counts, limits and starts are arguments."""
 
     def __init__(self, measured: LadderMeasurement, space: Space, budget_us: float) -> None:
-        self._space, self._budget_us = space, budget_us
-        self._dynamic, static = eqx.partition(measured, eqx.is_array)
+        self._measured, self._space, self._budget_us = measured, space, budget_us
 
-        def metrics(x: Float[Array, " n"], args: Any) -> Any:
-            arrays, levels, _ = args
-            return predict(eqx.combine(arrays, static), space.parameters(x, levels), budget_us)
+    def _problem(self, levels: int, limits: Limits) -> Problem:
+        low, high = self._space.log_bounds
+        rows, row_limits = self._space.order_rows(levels)
+        scalars = (levels, limits.budget_us, limits.memory_mb, self._budget_us)
+        levels_, budget, memory, station = (jnp.asarray(value) for value in scalars)
+        return Problem(
+            jnp.asarray(low), jnp.asarray(high - low), levels_, budget, memory, station,
+            jnp.asarray(rows), jnp.asarray(row_limits),
+        )  # fmt: skip
 
-        def problem(x: Float[Array, " n"], args: Any) -> tuple[Array, Array]:
-            found, limits = metrics(x, args), args[2]
-            excess = [jnp.log(found["loop_cost_p999_us"] / limits[0]), jnp.log(found["memory_mb"] / limits[1])]
-            return objective(found, budget_us), jnp.stack(excess)
+    def best(
+        self, levels: int, limits: Limits, seed: int, extra: Sequence[NDArray[np.float64]] = (), starts: int = STARTS
+    ) -> Found:
+        """The best of several starts.
 
-        def run(x0: Array, args: Any, linear: tuple[Array, Array]) -> Array:
-            options = {"lower": jnp.zeros_like(x0), "upper": jnp.ones_like(x0), "linear": linear}
-            return optx.minimise(
-                problem, SequentialQuadratic(), x0, args, options, has_aux=True, max_steps=MOST_STEPS, throw=False
-            ).value
+        Raises:
+            ArithmeticError: the objective is finite from no start; it names the terms that are not.
+        """
+        held = Limits(MARGIN * limits.budget_us, limits.memory_mb)
 
-        self._run, self._metrics = eqx.filter_jit(run), eqx.filter_jit(metrics)
-
-    def best(self, levels: int, limits: Limits, seed: int, extra: list[NDArray[np.float64]] | None = None) -> Found:
-        """The best of several starts; one that keeps the limits beats any that does not."""
-        matrix, bound = self._space.order_rows(levels)
-
-        def one(start: NDArray[np.float64]) -> Found:
+        def solved(start: NDArray[np.float64], sharpness: float) -> Found:
             with jax.enable_x64(True):  # of this thread
-                linear = (jnp.asarray(matrix), jnp.asarray(bound))
-                bounds = jnp.array([MARGIN * limits.budget_us, limits.memory_mb])
                 x0 = jnp.asarray(self._space.ordered(start, levels))
-                x = np.asarray(self._run(x0, (self._dynamic, jnp.asarray(levels), bounds), linear))
+                x = np.asarray(_solve(x0, self._measured, self._problem(levels, held), jnp.asarray(sharpness)))
             return self.look(self._space.ordered(x, levels), levels, limits)
 
-        starts = list(self._space.sample(STARTS, levels, seed)) + list(extra or [])
-        head = one(starts[0])  # compiles
-        with ThreadPoolExecutor(threads()) as pool:
-            found = [head, *pool.map(one, starts[1:])]
-        finite = [f for f in found if np.isfinite(f.objective)]
-        if not finite:
-            raise ArithmeticError(f"{levels} levels: the surrogate's objective is not finite from any start")
-        return min(finite, key=lambda f: (max(f.excess, 0.0) > 1e-3, f.excess if f.excess > 1e-3 else 0.0, f.objective))
+        points = [*extra, *self._space.sample(starts, levels, seed)] if starts else list(extra)
+        if len(points) > 1:
+            head = solved(points[0], SOFT)  # compiles
+            with ThreadPoolExecutor(threads()) as pool:
+                found = [head, *pool.map(lambda point: solved(point, SOFT), points[1:])]
+            finite = [f for f in found if np.isfinite(f.objective)]
+            if not finite:
+                broken = sorted(name for name, value in found[0].predicted.items() if not np.isfinite(value))
+                raise ArithmeticError(f"{levels} levels: not finite from any start: {', '.join(broken)}")
+            points = [min(finite, key=lambda f: f.rank).x]
+        return solved(points[0], SHARP)
 
     def look(self, x: NDArray[np.float64], levels: int, limits: Limits) -> Found:
         """What the surrogate says of x."""
         with jax.enable_x64(True):
-            bounds = jnp.array([limits.budget_us, limits.memory_mb])
-            raw = self._metrics(jnp.asarray(x), (self._dynamic, jnp.asarray(levels), bounds))
+            sharpness = jnp.asarray(SHARP)
+            raw = _look(jnp.asarray(x), self._measured, self._problem(levels, limits), sharpness)
             predicted = {name: float(value) for name, value in raw.items()}
         excess = max(
             np.log(predicted["loop_cost_p999_us"] / limits.budget_us),
             np.log(predicted["memory_mb"] / limits.memory_mb),
         )
-        return Found(x, float(objective(predicted, self._budget_us)), float(excess), predicted)
+        return Found(np.asarray(x), float(objective(predicted, self._budget_us)), float(excess), predicted)

@@ -8,6 +8,7 @@ that the optimiser keeps exactly.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,34 @@ from hapticlod.surrogate.parameters import Parameters
 
 MOST_LEVELS = 5
 Bounds = tuple[float, float]
+
+
+def split(log, most_levels: int) -> dict[str, Any]:
+    """Coordinates (n,) by name: triangles, balls, cells (K each), speeds (K - 1), and five scalars of shape (1,)."""
+    sizes = {"triangles": most_levels, "balls": most_levels, "cells": most_levels, "speeds": most_levels - 1}
+    sizes |= dict.fromkeys(("hysteresis", "filter", "blend", "l_in", "l_out"), 1)
+    out, at = {}, 0
+    for name, size in sizes.items():
+        out[name] = log[at : at + size]
+        at += size
+    return out
+
+
+def decode(log: Float[Array, " n"], levels, most_levels: int = MOST_LEVELS) -> Parameters:
+    """Parameters from the logarithms of all coordinates. Differentiable; `levels` is an integer scalar."""
+    part = split(log, most_levels)
+    return Parameters(
+        levels=jnp.asarray(levels),
+        log_triangles=part["triangles"],
+        log_balls=part["balls"],
+        log_cell_edges=part["cells"],
+        log_speeds=part["speeds"],
+        hysteresis=jnp.exp(part["hysteresis"][0]),
+        filter_hz=jnp.exp(part["filter"][0]),
+        blend_s=jnp.exp(part["blend"][0]) * 1e-3,
+        log_l_in=part["l_in"][0],
+        log_l_out=part["l_out"][0],
+    )
 
 
 @dataclass(frozen=True)
@@ -72,30 +101,22 @@ class Space:
             ("l_out", 1, self.l_mm),
         ]
 
-    def _split(self, x):
+    @property
+    def log_bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(n,) ln of the lower and of the upper bound of every coordinate."""
+        low = np.concatenate([np.full(count, np.log(bounds[0])) for _, count, bounds in self._blocks()])
+        high = np.concatenate([np.full(count, np.log(bounds[1])) for _, count, bounds in self._blocks()])
+        return low, high
+
+    def _split(self, x: NDArray) -> dict[str, NDArray]:
         """Logarithms of every block's physical values."""
-        out, at = {}, 0
-        for name, count, (low, high) in self._blocks():
-            part = x[at : at + count]
-            out[name] = np.log(low) + part * (np.log(high) - np.log(low))
-            at += count
-        return out
+        low, high = self.log_bounds
+        return split(low + np.asarray(x, dtype=np.float64) * (high - low), self.most_levels)
 
     def parameters(self, x: Float[Array, " n"], levels) -> Parameters:
         """Differentiable. `levels`: how many are used, an integer scalar."""
-        log = self._split(x)
-        return Parameters(
-            levels=jnp.asarray(levels),
-            log_triangles=log["triangles"],
-            log_balls=log["balls"],
-            log_cell_edges=log["cells"],
-            log_speeds=log["speeds"],
-            hysteresis=jnp.exp(log["hysteresis"][0]),
-            filter_hz=jnp.exp(log["filter"][0]),
-            blend_s=jnp.exp(log["blend"][0]) * 1e-3,
-            log_l_in=log["l_in"][0],
-            log_l_out=log["l_out"][0],
-        )
+        low, high = self.log_bounds
+        return decode(low + x * (high - low), levels, self.most_levels)
 
     def order_rows(self, levels: int) -> tuple[NDArray, NDArray]:
         """(A, b) of A x <= b: triangles and balls fall, speeds rise. Rows of unused levels are 0 <= 1."""
@@ -156,7 +177,7 @@ class Space:
 
     def config(self, x: NDArray, levels: int, name: str = "") -> LodConfig:
         """The configuration at x: counts rounded, levels that come out alike merged."""
-        log = {key: np.asarray(value) for key, value in self._split(np.asarray(x, dtype=np.float64)).items()}
+        log = self._split(x)
         edge = np.exp(np.interp(log["triangles"], self.edge_log_triangles, self.edge_log_mm))
         made: list[Level] = []
         speeds: list[float] = []

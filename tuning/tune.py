@@ -2,39 +2,29 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-import jax
 import numpy as np
 
 from hapticlod.config import LodConfig
 from hapticlod.errors import InputError
-from hapticlod.ladder import Ladder, build_ladder
-from hapticlod.motion import Motion, lay_on_scan, near_share, synthesise
-from hapticlod.perception import load_perception
+from hapticlod.ladder import Ladder
+from hapticlod.motion import Motion
 from hapticlod.scan import Scan
 from hapticlod.station import Station
 from hapticlod.tool import Tool
-from tuning.assemble import assemble
+from tuning.baselines import baselines as baseline_configs
 from tuning.compile_cache import keep_compiled
 from tuning.explain import explain
-from tuning.grid import Grid, make_clock, make_grid
-from tuning.replays import Bench
-from tuning.sample import Costing, sample_ladder
-from tuning.search import Limits, Search, objective
-from tuning.space import Space
+from tuning.prepare import Prepared, Progress, Stages, prepare
+from tuning.sample import Costing
+from tuning.search import STARTS, Limits, Search, objective
 from tuning.verify import Verifier
 
-Progress = Callable[[str, float], None]
-MODES = ("probe", "trace", "scan", "transfer")
-MOTION_S = 4.0
 ROUNDS = 3
-LEADERS = 2  # level counts that are tried again after a correction
+LEADERS = 2  # level counts that are looked at again when prediction and measurement differ
 AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
-NEAR_MM = 2.0
 
 
 @dataclass(frozen=True)
@@ -76,29 +66,6 @@ class TuneResult:
     costing: Costing
 
 
-@dataclass
-class _Stages:
-    """Times stages while it passes their progress on."""
-
-    told: Progress
-    seconds: dict[str, float] = field(default_factory=dict)
-    _name: str = ""
-    _since: float = 0.0
-
-    def __call__(self, name: str, part: float) -> None:
-        now = time.monotonic()
-        if name != self._name:
-            self.close()
-            self._name, self._since = name, now
-        self.told(name, part)
-
-    def close(self) -> None:
-        if self._name:
-            spent = time.monotonic() - self._since
-            self.seconds[self._name] = self.seconds.get(self._name, 0.0) + spent
-        self._name = ""
-
-
 def tune(
     scan: Scan,
     station: Station,
@@ -124,35 +91,23 @@ def tune(
         InputError: no configuration holds the budget (it says which budget would), or the motions never touch.
     """
     keep_compiled()
-    stages = _Stages(progress or (lambda name, part: None))
-    ladder = build_ladder(scan, progress=stages)
-    stages("prepare the motions", 0.0)
-    seen, apart = _motions(scan, station, tool, motions, seed)
-    rungs: list[Any] = list(ladder.rungs)
-    grid, clock = make_grid(rungs, tool), make_clock(seen)
-    bench = Bench(ladder.rungs, scan.centre_mm, tool, station, grid)
-    offset_mm = _offset_mm(ladder)
-    data, costing = sample_ladder(bench, seen, clock, load_perception(), 4.0 * offset_mm, 2, stages)
-    if not data.reference.contact.any():
-        raise InputError("motions", "never touch the scan", "give motions that do, or none to have some made")
-    stages("build the surrogate", 0.0)
-    space = _space(grid, data.reference.velocity_mm_s, offset_mm)
-    with jax.enable_x64(True):
-        measured = assemble(data, station.stiffness_n_mm, space.dwell_ms * 1e-3)
-    search = Search(measured, space, station.budget_us)
-    verifier = Verifier(ladder, tool, station, apart, costing)
+    stages = Stages(progress)
+    ready = prepare(scan, station, tool, motions, seed=seed, progress=stages)
+    search = Search(ready.measured, ready.space, station.budget_us)
+    verifier = Verifier(ready.ladder, tool, station, ready.apart, ready.costing, ready.key)
 
-    counts = [k for k in range(levels[0], levels[1] + 1) if space.fits(k)] or [1]
-    candidates = _explore(search, verifier, space, station, counts, seed, stages)
+    counts = [k for k in range(levels[0], levels[1] + 1) if ready.space.fits(k)] or [1]
+    candidates = _explore(search, verifier, ready, station, counts, seed, stages)
     stages("measure the baselines", 0.0)
     baselines, feasible = {}, {}
-    for i, config in enumerate((verifier.finest(), verifier.coarsest(), verifier.paper())):
+    fixed = baseline_configs(ready.ladder, tool)
+    for i, config in enumerate(fixed):
         baselines[config.name] = verifier.measured(config)
         feasible[config.name] = _holds(baselines[config.name], station)
-        stages("measure the baselines", (i + 1) / 3)
+        stages("measure the baselines", (i + 1) / len(fixed))
     stages.close()
     # The finest level alone is a candidate like any other.
-    alone = verifier.finest()
+    alone = fixed[0]
     candidates.append(
         Candidate(
             alone,
@@ -166,7 +121,7 @@ def tune(
     chosen = ranked[0]
     if not chosen.feasible:
         raise _nothing_fits(candidates, station)
-    predicted = chosen.predicted or search.look(space.point(chosen.config), 1, _limits(station, 1.0)).predicted
+    predicted = chosen.predicted or search.look(ready.space.point(chosen.config), 1, _limits(station, 1.0)).predicted
     feasible["tuned"] = True
     return TuneResult(
         config=chosen.config.changed(name="tuned"),
@@ -177,15 +132,15 @@ def tune(
         candidates=tuple(ranked),
         stages_s=stages.seconds,
         explanation=explain(ranked, baselines, station, scan.triangles, tool),
-        ladder=ladder,
-        motions=tuple(apart),
-        costing=costing,
+        ladder=ready.ladder,
+        motions=ready.apart,
+        costing=ready.costing,
     )
 
 
 def _explore(
-    search: Search, verifier: Verifier, space: Space, station: Station, counts: Sequence[int], seed: int,
-    stages: _Stages,
+    search: Search, verifier: Verifier, ready: Prepared, station: Station, counts: Sequence[int], seed: int,
+    stages: Stages,
 ) -> list[Candidate]:  # fmt: skip
     """The best of every level count, measured; then the leaders again, with the surrogate's budget corrected."""
     made: list[Candidate] = []
@@ -194,9 +149,9 @@ def _explore(
     def attempt(count: int, correction: float, turn: int) -> Candidate:
         stages("optimise", len(made) / (len(counts) + LEADERS))
         extra = [warm[count]] if count in warm else []
-        found = search.best(count, _limits(station, correction), seed + turn, extra)
+        found = search.best(count, _limits(station, correction), seed + turn, extra, 0 if extra else STARTS)
         warm[count] = found.x
-        config = space.config(found.x, count, f"{count} levels")
+        config = ready.space.config(found.x, count, f"{count} levels")
         stages("verify in the runtime", len(made) / (len(counts) + LEADERS))
         metrics = verifier.measured(config)
         value = float(objective(metrics, station.budget_us))
@@ -241,44 +196,4 @@ def _nothing_fits(candidates: list[Candidate], station: Station) -> InputError:
         f"no configuration holds a budget of {station.budget_us:g} us within {station.memory_mb:g} MB",
         f"the cheapest measured needs {needed:.3g} us and {nearest.measured['memory_mb']:.3g} MB: allow that much, "
         "lower the loop rate, or take a tool with fewer balls",
-    )
-
-
-def _motions(
-    scan: Scan, station: Station, tool: Tool, given: Sequence[Motion] | None, seed: int
-) -> tuple[list[Motion], list[Motion]]:
-    """Motions for the surrogate, and motions kept apart."""
-    if given:
-        placed = [m if near_share(m, scan, NEAR_MM) > 0.2 else lay_on_scan(m, scan, tool=tool) for m in given]
-        halves = [(m.part(0.0, m.seconds / 2), m.part(m.seconds / 2, m.seconds)) for m in placed]
-        return [first for first, _ in halves], [second for _, second in halves]
-
-    def made(first_seed: int) -> list[Motion]:
-        return [
-            synthesise(
-                scan, mode, seconds=MOTION_S, loop_hz=station.loop_hz, seed=first_seed + i, tool=tool,
-                stiffness_n_mm=station.stiffness_n_mm, max_force_n=station.max_force_n, encoder_mm=station.encoder_mm,
-            )
-            for i, mode in enumerate(MODES)
-        ]  # fmt: skip
-
-    return made(1000 * seed), made(1000 * seed + 500)
-
-
-def _offset_mm(ladder: Ladder) -> float:
-    """How far rungs lie apart where tools touch: the coarsest rung's rms distance."""
-    return max(ladder.rungs[-1].rms_mm, 1e-3 * ladder.rungs[0].mean_edge_mm)
-
-
-def _space(grid: Grid, velocity_mm_s: np.ndarray, offset_mm: float) -> Space:
-    order = np.argsort(grid.triangles)
-    speed = np.linalg.norm(velocity_mm_s, axis=1)
-    slow, fast = np.quantile(speed, [0.1, 0.999])
-    return Space(
-        triangles=(float(grid.triangles[-1]), float(grid.triangles[0])),
-        balls=(float(grid.balls[-1]), float(grid.balls[0])),
-        edge_log_triangles=np.log(np.array(grid.triangles, dtype=np.float64))[order],
-        edge_log_mm=np.log(np.array(grid.edge_mm))[order],
-        speeds_mm_s=(float(max(slow, 1.0)), float(max(fast, 4.0 * max(slow, 1.0)))),
-        l_mm=(0.1 * offset_mm, 20.0 * offset_mm),
     )

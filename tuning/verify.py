@@ -3,35 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hapticlod.config import Level, LodConfig
+from hapticlod.config import LodConfig
+from hapticlod.contact_events import stretches
 from hapticlod.ladder import Ladder
 from hapticlod.metrics import measure
 from hapticlod.motion import Motion
 from hapticlod.replay import Record, replay_levels, runtime_level
 from hapticlod.station import Station
 from hapticlod.tool import Tool
-from tuning.sample import Costing
+from tuning import kept
+from tuning.baselines import finest_only
+from tuning.sample import Costing, threads
 
 # A tick's time is its least over so many runs: other programs take time, the tick does not.
 REPEATS = 3
-# The paper's dentition: triangles per level, switching speeds, L (Zhou et al. 2009, section 3.3, table 4).
-PAPER_TRIANGLES = (66224, 26556, 14830)
-PAPER_SPEEDS_MM_S = (30.0, 120.0)
-PAPER_L_MM = 5.0
 
 
 @dataclass
 class Verifier:
-    """Replays configurations over motions kept apart. Levels that were built once are kept.
+    """Replays configurations over motions kept apart. What was measured once is kept, also between runs.
 
     Attributes:
         ladder, tool, station: what is tuned, and for what.
         motions: kept apart from the surrogate's.
         costing: turns this machine's times into the station's.
+        key: of ladder, tool, motions and costing; empty: nothing is kept between runs.
+        runs: how many configurations were really measured.
     """
 
     ladder: Ladder
@@ -39,53 +42,43 @@ class Verifier:
     station: Station
     motions: Sequence[Motion]
     costing: Costing
+    key: str = ""
+    runs: int = 0
     _reference: list[Record] = field(default_factory=list)
 
     def records(self, config: LodConfig, repeats: int = REPEATS) -> list[Record]:
         """One record per motion, costs as on the station."""
         origin = self.ladder.scan.centre_mm
         levels = [runtime_level(self.ladder.at(level.triangles), origin, level.cell_mm) for level in config.levels]
-        made = []
-        for motion in self.motions:
+
+        def one(motion: Motion) -> Record:
             record = replay_levels(levels, config, origin, motion, self.tool, self.station, repeats)
             rows = record.rows.copy()
             used = np.array(record.level_bytes)[rows["level"]]
             rows["cost_ns"] = self.costing.cost_ns(record.rows, used)
-            made.append(replace(record, rows=rows, slowdown=1.0))  # the costing has counted the slowdown
-        return made
+            return replace(record, rows=rows, slowdown=1.0)  # the costing has counted the slowdown
 
-    def measured(self, config: LodConfig) -> dict[str, float]:
+        with ThreadPoolExecutor(threads()) as pool:
+            return list(pool.map(one, self.motions))
+
+    def measured(self, config: LodConfig, repeats: int = REPEATS) -> dict[str, float]:
         """The metrics, against the finest level on the same motions."""
-        if not self._reference:
-            self._reference = self.records(self.finest(), 1)
-        return measure(self.records(config), self._reference)
+        asked = kept.key_of("measured", self.key, config.changed(name="").model_dump_json(), repeats)
+        found = kept.load("measured", asked) if self.key else None
+        if found is None:
+            if not self._reference:
+                self._reference = self.records(finest_only(self.ladder, self.tool), 1)
+            self.runs += 1
+            records = self.records(config, repeats)
+            found = measure(records, self._reference), [record.cost_us.astype(np.float32) for record in records]
+            if self.key:
+                kept.store("measured", asked, found)
+        metrics, costs = found
+        return {**metrics, **_misses(costs, self.station.budget_us)}
 
-    def fixed(self, triangles: int, name: str) -> LodConfig:
-        """The configuration that stays on one level, with the whole tool."""
-        rung = self.ladder.at(triangles)
-        level = Level(triangles=rung.triangles, cell_mm=4.0 * rung.mean_edge_mm, balls=self.tool.balls)
-        return LodConfig(name=name, levels=(level,))
 
-    def finest(self) -> LodConfig:
-        """The scan itself."""
-        return self.fixed(self.ladder.scan.triangles, "finest only")
-
-    def coarsest(self) -> LodConfig:
-        """The last rung."""
-        return self.fixed(self.ladder.rungs[-1].triangles, "coarsest only")
-
-    def paper(self) -> LodConfig:
-        """The paper's dentition in its proportions on this scan: its speeds, its L, its mapping, no filter."""
-        made, speeds = [], []
-        for i, count in enumerate(PAPER_TRIANGLES):
-            wanted = round(self.ladder.scan.triangles * count / PAPER_TRIANGLES[0])
-            rung = self.ladder.at(max(wanted, 1))
-            level = Level(triangles=rung.triangles, cell_mm=4.0 * rung.mean_edge_mm, balls=self.tool.balls)
-            if made and level.triangles >= made[-1].triangles:
-                continue
-            if made:
-                speeds.append(PAPER_SPEEDS_MM_S[i - 1])
-            made.append(level)
-        return LodConfig(
-            name="the paper's", levels=tuple(made), speeds_mm_s=tuple(speeds), mapping="paper", l_out_mm=PAPER_L_MM
-        )
+def _misses(costs_us: Sequence[NDArray], budget_us: float) -> dict[str, float]:
+    """The two metrics that depend on the budget, which may be another one than when the ticks were timed."""
+    over = [cost > budget_us for cost in costs_us]
+    longest = max(int(np.diff(stretches(miss), axis=1).max(initial=0)) for miss in over)
+    return {"deadline_miss_rate": float(np.concatenate(over).mean()), "longest_miss_run": float(longest)}

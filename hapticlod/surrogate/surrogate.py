@@ -119,6 +119,8 @@ def predict(
     # Nothing to switch between: a jump of 0, and every mapping that was not tried found the surface.
     switched, some = jnp.maximum(flow, 1e-6), flow / (flow + 1e-3)
     work = jax.ops.segment_sum(mixed(feel.work_mj) * ticks_per_bin, measured.cycle, measured.cycles)[1:]
+    cycles = jax.ops.segment_sum(jnp.ones_like(in_contact), measured.cycle, measured.cycles)[1:]
+    work = jnp.where(cycles > 0, work, -1e3)
     peak_width, jump_width = 0.02 * jnp.max(peaks) + 1e-4, 0.005
 
     return {
@@ -143,6 +145,6 @@ def predict(
         "false_release_per_min": (total(mixed(feel.release)) + jnp.sum(losing)) * 60 / measured.seconds,
         "pop_through_per_min": total(mixed(feel.pop)) * 60 / measured.seconds,
         "penetration_p99_mm": smooth_quantile(depths, touching, 0.99, 0.01 * jnp.max(depths) + 1e-6),
-        "energy_out_mj": smooth_max(work, 0.02) if measured.cycles > 1 else jnp.zeros_like(flow),
+        "energy_out_mj": jnp.where(jnp.any(cycles > 0), smooth_max(work, 0.02), 0.0),
         "memory_mb": memory_mb(measured, parameters),
     }

@@ -1,0 +1,216 @@
+"""From a scan, a tool and a station to a surrogate: ladder, motions, replays. All of it is kept between runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import jax
+import numpy as np
+
+from hapticlod.errors import InputError
+from hapticlod.ladder import Ladder, build_ladder
+from hapticlod.motion import MODES, Motion, lay_on_scan, near_share, synthesise
+from hapticlod.perception import Perception, load_perception
+from hapticlod.scan import Scan
+from hapticlod.station import Station
+from hapticlod.surrogate.measurement import LadderMeasurement
+from hapticlod.tool import Tool
+from tuning import kept
+from tuning.assemble import LadderData, assemble
+from tuning.grid import Grid, make_clock, make_grid
+from tuning.replays import Bench, replay_fixed
+from tuning.sample import Costing, sample_ladder, threads
+from tuning.space import Space
+
+Progress = Callable[[str, float], None]
+
+# Seconds per mode of the surrogate's motions, and of those kept apart: the most that replays can afford, see _seconds.
+SEEN_S = (6.0, 4.0, 2.5)
+APART_S = (24.0, 12.0, 6.0, 3.0)
+SEEN_REPLAY_S, APART_REPLAY_S = 12.0, 2.5
+REPEATS = 2
+NEAR_MM = 2.0
+_TOUR_MM = 4.0  # a tour's mapping length, in offsets between rungs
+
+
+class Stages:
+    """Times stages while it passes their progress on."""
+
+    def __init__(self, told: Progress | None) -> None:
+        self._told: Progress = told or (lambda name, part: None)
+        self.seconds: dict[str, float] = {}
+        self._name, self._since = "", 0.0
+
+    def __call__(self, name: str, part: float) -> None:
+        if name != self._name:
+            self.close()
+            self._name, self._since = name, time.monotonic()
+        self._told(name, part)
+
+    def close(self) -> None:
+        """Ends the stage in progress."""
+        if self._name:
+            self.seconds[self._name] = self.seconds.get(self._name, 0.0) + time.monotonic() - self._since
+        self._name = ""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What tuning works on.
+
+    Attributes:
+        ladder: of the scan.
+        seen, apart: motions of the surrogate, and motions kept apart to judge it.
+        data: what replays over `seen` gave. `costing`: how this machine's time becomes the station's.
+        space: the box to search.
+        measured: the surrogate's arrays, float64.
+        key: of everything above.
+    """
+
+    ladder: Ladder
+    seen: tuple[Motion, ...]
+    apart: tuple[Motion, ...]
+    data: LadderData
+    costing: Costing
+    space: Space
+    measured: LadderMeasurement
+    key: str
+
+
+@dataclass(frozen=True)
+class _Sampled:
+    seen: tuple[Motion, ...]
+    apart: tuple[Motion, ...]
+    data: LadderData
+    costing: Costing
+    space: Space = field(repr=False)
+
+
+def prepare(
+    scan: Scan,
+    station: Station,
+    tool: Tool,
+    motions: Sequence[Motion] | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+    perception: Perception | None = None,
+) -> Prepared:
+    """Ladder, motions, replays and the surrogate's arrays.
+
+    Args:
+        scan: cleaned.
+        station: rate, stiffness and limits; cost coefficients of its own where it is another machine. Its budget and
+            memory limit do not matter here.
+        tool: 1 to 4096 balls.
+        motions: recorded at the station's rate: the first halves make the surrogate, the second halves judge it.
+            None: strokes of all four modes, made on the scan.
+        seed: of the motions.
+        progress: told every stage's name and the part done.
+        perception: preset; the shipped default where none is given.
+
+    Raises:
+        InputError: motions that never touch, or are too short.
+    """
+    told: Progress = progress or (lambda name, part: None)
+    felt = perception or load_perception()
+    ladder_key = kept.key_of("ladder", scan.digest, kept.code_digest())
+    ladder = kept.load("ladders", ladder_key)
+    if ladder is None:
+        ladder = build_ladder(scan, progress=told)
+        _ = ladder.rungs[-1].rms_mm
+        kept.store("ladders", ladder_key, ladder)
+    given = tuple(motion.digest for motion in motions or ())
+    untouched = station.model_copy(update={"budget_us": 1.0, "memory_mb": 1.0, "name": "", "slowdown_reason": ""})
+    key = kept.key_of("samples", scan.digest, tool.digest, untouched.model_dump_json(), given, seed, repr(felt),
+                      threads(), kept.code_digest())  # fmt: skip
+    sampled = kept.load("samples", key)
+    if sampled is None:
+        sampled = _sampled(scan, ladder, station, tool, motions, seed, felt, told)
+        kept.store("samples", key, sampled)
+    told("build the surrogate", 0.0)
+    with jax.enable_x64(True):
+        measured = assemble(sampled.data, station.stiffness_n_mm, sampled.space.dwell_ms * 1e-3)
+    costing = Costing(sampled.costing.here, station)
+    return Prepared(ladder, sampled.seen, sampled.apart, sampled.data, costing, sampled.space, measured, key)
+
+
+def _sampled(
+    scan: Scan, ladder: Ladder, station: Station, tool: Tool, motions: Sequence[Motion] | None, seed: int,
+    perception: Perception, told: Progress,
+) -> _Sampled:  # fmt: skip
+    told("prepare the motions", 0.0)
+    grid = make_grid(ladder.rungs, tool)
+    bench = Bench(ladder.rungs, scan.centre_mm, tool, station, grid)
+    seen, apart = _halves(scan, station, tool, motions) if motions else _made(scan, bench, station, tool, seed)
+    clock = make_clock(seen)
+    if min(clock.motion_ticks) == 0:
+        window_s = clock.ticks_per_bin * clock.bins_per_window / clock.loop_hz
+        raise InputError("motions", f"one is shorter than {2 * window_s:.3g} s", "give longer motions")
+    offset_mm = max(ladder.rungs[-1].rms_mm, 1e-3 * ladder.rungs[0].mean_edge_mm)
+    data, costing = sample_ladder(bench, seen, clock, perception, _TOUR_MM * offset_mm, REPEATS, told)
+    if not data.reference.contact.any():
+        raise InputError("motions", "never touch the scan", "give motions that do, or none to have some made")
+    return _Sampled(tuple(seen), tuple(apart), data, costing, make_space(grid, data, offset_mm))
+
+
+def _halves(scan: Scan, station: Station, tool: Tool, given: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
+    """First and second halves of recordings; those that are far from the scan are laid on it."""
+    placed = [
+        m
+        if near_share(m, scan, NEAR_MM + tool.reference_radius_mm) > 0.2
+        else lay_on_scan(
+            m, scan, tool=tool, stiffness_n_mm=station.stiffness_n_mm, max_force_n=station.max_force_n,
+            encoder_mm=station.encoder_mm,
+        )
+        for m in given
+    ]  # fmt: skip
+    halves = [(m.part(0.0, m.seconds / 2), m.part(m.seconds / 2, m.seconds)) for m in placed]
+    return [first for first, _ in halves], [second for _, second in halves]
+
+
+def _made(scan: Scan, bench: Bench, station: Station, tool: Tool, seed: int) -> tuple[list[Motion], list[Motion]]:
+    """Strokes of all modes, as long as this tool lets replays be."""
+
+    def strokes(first_seed: int, seconds: float) -> list[Motion]:
+        return [
+            synthesise(
+                scan, mode, seconds=seconds, loop_hz=station.loop_hz, seed=first_seed + i, tool=tool,
+                stiffness_n_mm=station.stiffness_n_mm, max_force_n=station.max_force_n, encoder_mm=station.encoder_mm,
+            )
+            for i, mode in enumerate(MODES)
+        ]  # fmt: skip
+
+    pilot = strokes(1000 * seed + 900, 1.0)
+    level = bench.level(0)
+    begun = time.monotonic()
+    replay_fixed(bench, level, 0, tool.balls, pilot, 1)
+    per_s = (time.monotonic() - begun) / len(pilot) * len(MODES)  # of replay, for one second of each mode
+    rungs, subsets = bench.grid.shape
+    ladder_runs = rungs * REPEATS * (1.0 if subsets == 1 else 1.4) + 6.0
+    seen_s = _seconds(SEEN_S, per_s * ladder_runs / threads(), SEEN_REPLAY_S)
+    apart_s = _seconds(APART_S, per_s / threads(), APART_REPLAY_S)
+    return strokes(1000 * seed, seen_s), strokes(1000 * seed + 500, apart_s)
+
+
+def _seconds(choices: Sequence[float], cost_per_s: float, most: float) -> float:
+    """The longest of some lengths that costs at most so much; few choices, so that compiled code fits again."""
+    return next((seconds for seconds in choices if seconds * cost_per_s <= most), choices[-1])
+
+
+def make_space(grid: Grid, data: LadderData, offset_mm: float) -> Space:
+    """Bounds from the ladder and from the hand: switching speeds where the hand is, mapping as far as rungs differ."""
+    order = np.argsort(grid.triangles)
+    raw = np.linalg.norm(data.reference.velocity_mm_s, axis=1)
+    slow, fast = np.quantile(raw, [0.1, 0.999])
+    slow = float(max(slow, 1.0))
+    return Space(
+        triangles=(float(grid.triangles[-1]), float(grid.triangles[0])),
+        balls=(float(grid.balls[-1]), float(grid.balls[0])),
+        edge_log_triangles=np.log(np.array(grid.triangles, dtype=np.float64))[order],
+        edge_log_mm=np.log(np.array(grid.edge_mm))[order],
+        speeds_mm_s=(slow, float(max(fast, 4.0 * slow))),
+        l_mm=(offset_mm, 20.0 * offset_mm),
+    )
