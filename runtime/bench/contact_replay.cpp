@@ -5,7 +5,7 @@
 //
 // MOTION: rows x_mm,y_mm,z_mm under a header, one per period. --tool: rows x_mm,y_mm,z_mm,radius_mm under a header.
 // OUT: fx,fy,fz,px,py,pz,ns,contacts. A tick's time is its least over the repeats. --cold sweeps that many MB of other
-// memory between ticks. Last line of standard output: JSON, times in ns.
+// memory between ticks. Last line of standard output: JSON, times in ns, and what a tick counts (means).
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -153,7 +153,17 @@ std::string run(Renderer& renderer, const Options& o, const std::string& motion,
     std::ostringstream json;
     json << "{\"mean\": " << mean << ", \"p50\": " << percentile(sorted, 0.5)
          << ", \"p75\": " << percentile(sorted, 0.75) << ", \"p99\": " << percentile(sorted, 0.99)
-         << ", \"p999\": " << percentile(sorted, 0.999) << ", \"max\": " << sorted.back() << "}";
+         << ", \"p999\": " << percentile(sorted, 0.999) << ", \"max\": " << sorted.back() << ", \"per_tick\": {";
+    const auto counted = [&](const char* name, std::uint32_t TickRecord::*counter, const char* after) {
+        double sum = 0.0;
+        for (const TickRecord& t : rows) sum += t.*counter;
+        json << '"' << name << "\": " << sum / static_cast<double>(n) << after;
+    };
+    counted("cells", &TickRecord::cells, ", ");
+    counted("triangles", &TickRecord::triangles, ", ");
+    counted("tests", &TickRecord::tests, ", ");
+    counted("balls", &TickRecord::balls, ", ");
+    counted("iterations", &TickRecord::iterations, "}}");
     return json.str();
 }
 

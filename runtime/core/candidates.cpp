@@ -29,9 +29,11 @@ void Candidates::allocate(const ToolTree& tree, std::size_t balls) {
     evaluations_.resize(kMaxBlocks);
     keys_.resize(kMaxBlocks);
     stamps_.resize(kMaxBlocks);
+    slots_.resize(kMaxBlocks);
     sources_.resize(kMaxBlocks);
-    balls_.resize(balls);
-    nodes_.resize(tree.nodes().size());
+    balls_clear_until_.resize(balls);
+    nodes_clear_until_.resize(tree.nodes().size());
+    nodes_looked_at_.resize(tree.nodes().size());
     forget();
 }
 
@@ -42,26 +44,32 @@ void Candidates::bind(const ActiveLevel& level, const Kernels& kernels) {
 }
 
 void Candidates::forget() {
-    std::fill(balls_.begin(), balls_.end(), Safe{});
-    std::fill(nodes_.begin(), nodes_.end(), Safe{});
+    std::fill(balls_clear_until_.begin(), balls_clear_until_.end(), 0.0);
+    std::fill(nodes_clear_until_.begin(), nodes_clear_until_.end(), 0.0);
+    std::fill(nodes_looked_at_.begin(), nodes_looked_at_.end(), 0.0);
     odometer_ = 0.0;
     valid_ = false;
 }
 
-std::size_t Candidates::bytes() const {
-    return blocks_.size() *
-               (sizeof(ItemBlock) + sizeof(EvalBlock) + sizeof(double) + sizeof(std::uint32_t) + sizeof(Source)) +
-           (balls_.size() + nodes_.size()) * sizeof(Safe);
+void Candidates::rotated(double distance) {
+    odometer_ += distance;
+    turned_ += distance;
+    std::fill_n(stamps_.begin(), block_count_, kListed);
+    placed_ = 0;
 }
 
-double Candidates::clearance_bound(const Vec3& x) const {
-    double least = still_clear(nodes_[tree_->root()]) - norm(x - centre_);
-    if (block_count_ > 0) {
-        least = std::numeric_limits<double>::infinity();
-        for (std::uint32_t i = 0; i < block_count_; ++i) least = std::min(least, keys_[i]);
-        least = std::min(least, reach_) - norm(x - centre_);
-    }
-    return std::max(least, 0.0);
+std::size_t Candidates::bytes() const {
+    return blocks_.size() *
+               (sizeof(ItemBlock) + sizeof(EvalBlock) + sizeof(double) + 2 * sizeof(std::uint32_t) + sizeof(Source)) +
+           (balls_clear_until_.size() + nodes_clear_until_.size() + nodes_looked_at_.size()) * sizeof(double);
+}
+
+double Candidates::clearance_bound(const Vec3& x, double path) const {
+    const double moved = norm(x - centre_);
+    if (block_count_ == 0) return std::max(nodes_clear_until_[tree_->root()] - odometer_ - moved, 0.0);
+    double least = std::numeric_limits<double>::infinity();
+    for (std::uint32_t i = 0; i < block_count_; ++i) least = std::min(least, keys_[i] - path);
+    return std::max(std::min(least, reach() - moved), 0.0);
 }
 
 // Calls use(brick, bit, gap2) for every occupied cell within `range` of the centre, until it returns false.
@@ -97,13 +105,12 @@ void Candidates::for_cells(const Vec3& centre, double range, TickCounters& count
     });
 }
 
-// Distance to the nearest occupied cell farther than inner, at most outer. 0 where one is nearer than inner and
-// `inner` is negative.
-double Candidates::empty_within(const Vec3& centre, double inner, double outer, TickCounters& counters) const {
+// Distance to the nearest occupied cell, at most outer.
+double Candidates::empty_within(const Vec3& centre, double outer, TickCounters& counters) const {
     double nearest2 = outer * outer;
     for_cells(centre, outer, counters, [&](const Brick&, int, double gap2) {
-        if (inner < 0.0 || gap2 > inner * inner) nearest2 = std::min(nearest2, gap2);
-        return true;
+        nearest2 = std::min(nearest2, gap2);
+        return nearest2 > 0.0;
     });
     return std::sqrt(nearest2);
 }
@@ -117,93 +124,99 @@ void Candidates::place(std::uint32_t i) {
         shift[k] = static_cast<float>(at[k]);
         residual[k] = static_cast<float>(at[k] - double{shift[k]});
     }
-    kernels_->place(level_->view.blocks[sources_[i].block], shift, residual, static_cast<float>(ball.kept), blocks_[i]);
-    std::fill_n(blocks_[i].ball, 8, sources_[i].ball);
+    slots_[i] = placed_++;
+    ItemBlock& out = blocks_[slots_[i]];
+    kernels_->place(level_->view.blocks[sources_[i].block], shift, residual, static_cast<float>(ball.kept), out);
+    std::fill_n(out.ball, 8, sources_[i].ball);
     stamps_[i] = kPlaced;
 }
 
-bool Candidates::gather_ball(const SolverBall& ball, std::uint32_t index, double reach, TickCounters& counters) {
+// The balls of one node against the blocks around it, eight balls at a time.
+bool Candidates::gather_balls(std::uint32_t index, std::span<const SolverBall> balls, double reach,
+                              TickCounters& counters) {
+    constexpr std::uint32_t kChunk = 32;
     const LevelView& level = level_->view;
-    const Vec3 centre = centre_ + ball.offset;
+    const ToolTree::Node& node = tree_->nodes()[index];
+    const BallPack& pack = tree_->pack(index);
+    std::uint32_t active = 0;
+    double extent[8] = {}, widest = 0.0;  // of the kept balls about the node
+    for (std::uint32_t k = 0; k < node.count; ++k) {
+        const std::uint32_t ball = tree_->ball(node.first + k);
+        if (ball >= balls.size() || balls_clear_until_[node.first + k] - odometer_ > reach) continue;
+        active |= 1u << k;
+        extent[k] = norm(balls[ball].offset - node.offset) + balls[ball].kept;
+        widest = std::max(widest, extent[k]);
+        ++counters.balls;
+    }
+    if (active == 0) return true;
+    const double outer = widest + 2.0 * reach;
+    const Vec3 centre = centre_ + node.offset;
     const float at[3] = {static_cast<float>(centre.x), static_cast<float>(centre.y), static_cast<float>(centre.z)};
-    ++counters.balls;
-    const std::uint32_t before = block_count_;
-    const double inner = (ball.kept + reach) * (1.0 + 1e-6);
-    const float within = static_cast<float>(inner) * 1.00001f;
-    double least = std::numeric_limits<double>::infinity();
+    const float within = static_cast<float>(reach) * 1.00001f;
+    float least[8], low[8 * kChunk];
+    std::uint32_t bits[kChunk], near = 0;
+    std::fill_n(least, 8, std::numeric_limits<float>::max());
     bool complete = true;
-    for_cells(centre, inner, counters, [&](const Brick& brick, int bit, double) {
+    for_cells(centre, outer, counters, [&](const Brick& brick, int bit, double) {
         ++counters.cells;
         const std::uint64_t below = brick.mask & ((std::uint64_t{1} << bit) - 1);
         const std::uint32_t cell = brick.first_cell + static_cast<std::uint32_t>(std::popcount(below));
-        counters.triangles += 8 * (level.cells[cell + 1] - level.cells[cell]);
-        for (std::uint32_t b = level.cells[cell]; b < level.cells[cell + 1]; ++b) {
-            const Sphere& sphere = level_->spheres[b];
-            const float dx = sphere.x - at[0], dy = sphere.y - at[1], dz = sphere.z - at[2];
-            const float distance = std::sqrt(dx * dx + dy * dy + dz * dz) - sphere.radius;
-            if (distance > within) {
-                least = std::min(least, double{distance} - ball.kept);
-                continue;
-            }
-            if (block_count_ == kMaxBlocks) return complete = false;
-            sources_[block_count_] = {b, index};
-            keys_[block_count_] = double{distance} - ball.kept;
-            stamps_[block_count_] = kListed;
-            // A sphere much larger than the reach says little: look now, and mostly be rid of the block.
-            if (double{sphere.radius} > reach) {
-                place(block_count_);
-                const float here[3] = {0.0f, 0.0f, 0.0f};
-                const double clearance{kernels_->eval(blocks_[block_count_], here, evaluations_[block_count_])};
-                counters.tests += 8;
-                least = std::min(least, clearance);
-                if (clearance > reach) continue;
-                keys_[block_count_] = clearance;
-                stamps_[block_count_] = kAtCentre;
-            }
-            ++block_count_;
+        const std::uint32_t end = level.cells[cell + 1];
+        counters.triangles += 8 * (end - level.cells[cell]);
+        for (std::uint32_t from = level.cells[cell]; from < end; from += kChunk) {
+            const std::uint32_t count = std::min(end - from, kChunk);
+            kernels_->near(&level_->bounds[from], count, pack, at, active, within, least, low, bits);
+            for (std::uint32_t b = 0; b < count; ++b)
+                for (near |= bits[b]; bits[b] != 0; bits[b] &= bits[b] - 1) {
+                    const int lane = std::countr_zero(bits[b]);
+                    if (block_count_ == kMaxBlocks) return complete = false;
+                    sources_[block_count_] = {from + b, tree_->ball(node.first + static_cast<std::uint32_t>(lane))};
+                    keys_[block_count_] = double{low[8 * b + static_cast<std::uint32_t>(lane)]};
+                    stamps_[block_count_] = kListed;
+                    ++block_count_;
+                }
         }
         return true;
     });
     if (!complete) return false;
-    if (block_count_ > before) {
-        balls_[index] = {0.0, odometer_};
-        return true;
-    }
-    // Nothing within reach: how far is the nearest cell beyond? Until the tool has moved that far, leave the ball be.
-    const double outer = inner + std::max(2.0 * level.hash->cell_mm, 3.0 * reach);
-    const double beyond = empty_within(centre, inner, outer, counters) - ball.kept;
-    balls_[index] = {std::max(std::min(beyond, least), reach), odometer_};
+    // Nothing within reach of a ball: until the tool has moved as far as the nearest block beyond, leave it be.
+    for (std::uint32_t k = 0; k < node.count; ++k)
+        if (active >> k & 1u) {
+            const double clear =
+                near >> k & 1u ? 0.0 : std::max(std::min(outer - extent[k], double{least[k]} * 0.99999), reach);
+            balls_clear_until_[node.first + k] = odometer_ + clear;
+        }
     return true;
 }
 
 bool Candidates::gather_node(std::uint32_t index, std::span<const SolverBall> balls, double reach,
                              TickCounters& counters) {
     const ToolTree::Node& node = tree_->nodes()[index];
-    Safe& safe = nodes_[index];
-    if (node.least_ball >= balls.size() || still_clear(safe) > reach) return true;
+    if (node.least_ball >= balls.size() || nodes_clear_until_[index] - odometer_ > reach) return true;
     // A node that was near a moment ago is near now: look at its children at once.
-    if (node.count > 1 && safe.odometer < odometer_ - 4.0 * reach) {
-        ++counters.balls;
+    if (nodes_looked_at_[index] < odometer_ - 4.0 * reach) {
         const double outer = node.radius + reach + std::max(2.0 * level_->view.hash->cell_mm, 3.0 * reach);
-        const double clear = empty_within(centre_ + node.offset, -1.0, outer, counters) - node.radius;
+        const double clear = empty_within(centre_ + node.offset, outer, counters) - node.radius;
+        ++counters.balls;
+        nodes_looked_at_[index] = odometer_;
         if (clear > reach) {
-            safe = {clear, odometer_};
+            nodes_clear_until_[index] = odometer_ + clear;
             return true;
         }
     }
-    double clear = std::numeric_limits<double>::infinity();
-    for (std::uint32_t k = node.first; k < node.first + node.count; ++k) {
-        const std::uint32_t child = node.above_balls ? tree_->ball(k) : k;
-        if (node.above_balls) {
-            if (child >= balls.size()) continue;
-            if (still_clear(balls_[child]) <= reach && !gather_ball(balls[child], child, reach, counters)) return false;
-            clear = std::min(clear, still_clear(balls_[child]));
-        } else {
-            if (!gather_node(child, balls, reach, counters)) return false;
-            if (tree_->nodes()[child].least_ball < balls.size()) clear = std::min(clear, still_clear(nodes_[child]));
+    double until = std::numeric_limits<double>::infinity();
+    if (node.above_balls) {
+        if (!gather_balls(index, balls, reach, counters)) return false;
+        for (std::uint32_t k = node.first; k < node.first + node.count; ++k)
+            if (tree_->ball(k) < balls.size()) until = std::min(until, balls_clear_until_[k]);
+    } else {
+        for (std::uint32_t k = node.first; k < node.first + node.count; ++k) {
+            if (!gather_node(k, balls, reach, counters)) return false;
+            if (tree_->nodes()[k].least_ball < balls.size()) until = std::min(until, nodes_clear_until_[k]);
         }
     }
-    safe = {clear, odometer_};
+    nodes_clear_until_[index] = until;
+    nodes_looked_at_[index] = odometer_;
     return true;
 }
 
@@ -211,12 +224,14 @@ double Candidates::gather(const Vec3& centre, double reach, std::span<const Solv
     solver_balls_ = balls;
     odometer_ += norm(centre - centre_);
     centre_ = centre;
+    turned_ = 0.0;
     for (int attempt = 0;; ++attempt) {
         block_count_ = 0;
+        placed_ = 0;
         const bool complete = gather_node(tree_->root(), balls, reach, counters);
         valid_ = true;
         // With nothing near, the candidates (none) stay complete for as long as the tool is clear.
-        reach_ = block_count_ == 0 && complete ? std::max(reach, still_clear(nodes_[tree_->root()])) : reach;
+        reach_ = block_count_ == 0 && complete ? std::max(reach, nodes_clear_until_[tree_->root()] - odometer_) : reach;
         if (complete || attempt == 12) return complete ? reach_ : 0.0;
         // Too many triangles near: take a shorter reach. Safe distances found so far stay true.
         reach *= 0.5;

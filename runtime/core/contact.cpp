@@ -67,7 +67,8 @@ void ContactSolver::bind(const ActiveLevel& level, const Kernels& kernels, const
 // that separated a triangle once separates it for good, so a block is renewed only where its old planes say too little.
 void ContactSolver::renew(std::uint32_t i, TickCounters& counters) {
     const float p[3] = {static_cast<float>(local_.x), static_cast<float>(local_.y), static_cast<float>(local_.z)};
-    candidates_.key(i) = path_ + double{kernels_->eval(candidates_.block(i), p, candidates_.evaluation(i))};
+    const ItemBlock& block = candidates_.block(i);
+    candidates_.key(i) = path_ + double{kernels_->eval(block, p, candidates_.evaluation(i))};
     candidates_.stamp(i) = stamp_;
     counters.tests += 8;
 }
@@ -166,13 +167,22 @@ double ContactSolver::sweep(const Vec3& step, std::span<const SolverBall> balls,
     return first;
 }
 
+// Far enough for about two ticks at this speed: a longer reach gathers more than it saves.
+double ContactSolver::wanted_reach(double motion_mm) const {
+    return std::max(std::min(3.0 * motion_mm, 4.0 * cell_mm_) + 0.15 * mean_edge_mm_, 16.0 * tolerances_.skin);
+}
+
+double ContactSolver::gather(double reach, std::span<const SolverBall> balls, TickCounters& counters) {
+    path_ = 0.0;
+    return candidates_.gather(x_, reach, balls, counters);
+}
+
 Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> balls, double motion_mm,
                                TickCounters& counters) {
     Contact out;
     out.converged = false;
-    // Far enough for about two ticks at this speed: a longer reach gathers more than it saves.
     const double slack = 2.0 * tolerances_.skin;
-    double wanted = std::max(std::min(3.0 * motion_mm, 4.0 * cell_mm_) + 0.15 * mean_edge_mm_, 16.0 * tolerances_.skin);
+    double wanted = wanted_reach(motion_mm);
     if (candidates_.valid() && norm(x_ - candidates_.centre()) + 1.1 * motion_mm > candidates_.reach() - slack)
         candidates_.invalidate();
     Slide slide;
@@ -183,10 +193,9 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         const double settled = tolerances_.settled * std::min(std::exp2(std::max(k - kPatience, 0)), 100.0);
         // Candidates are good while x and everything within touching distance stays inside their reach.
         if (!candidates_.valid() || norm(x_ - candidates_.centre()) > 0.75 * (candidates_.reach() - slack)) {
-            const double granted = candidates_.gather(x_, wanted, balls, counters);
+            const double granted = gather(wanted, balls, counters);
             if (granted < wanted) counters.errors |= kErrCandidates;
             wanted = std::min(2.0 * wanted, 64.0 * cell_mm_);  // a long way to go needs longer steps
-            path_ = 0.0;
             out.active = 0;  // planes of the last step are in the old frame
             if (granted <= 2.0 * slack) {
                 counters.errors |= kErrNotConverged;
@@ -261,7 +270,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         for (int i = 0; i < out.active; ++i) out.planes[i].point += centre;
         return out;
     }
-    free_distance_ = planes_.count > 0 ? 0.0 : candidates_.clearance_bound(x_);
+    free_distance_ = planes_.count > 0 ? 0.0 : candidates_.clearance_bound(x_, path_);
     // The same planes without the skin: what the surface itself allows.
     const PlaneSolution final = nearest_feasible(planes_, hip - centre, true, 1e-3 * tolerances_.settled);
     // Between steep planes the way back to the surface is long without being nearer to it: at a cube's corner it is

@@ -53,7 +53,19 @@ public:
     void bind(const ActiveLevel& level, const Kernels& kernels, const Tolerances& tolerances);
 
     // Place the reference point without sweeping (free space, or a mapped contact).
-    void place(const Vec3& x) { x_ = x; }
+    void place(const Vec3& x) {
+        path_ += norm(x - x_);
+        x_ = x;
+    }
+    // The balls will be at `offsets`: moves the reference point by the least translation that lets every ball go there
+    // along its chord without passing through the surface. False: that cannot be had now, and nothing was moved.
+    bool make_way(std::span<const SolverBall> balls, std::span<const Vec3> offsets, double motion_mm,
+                  TickCounters& counters);
+    // The balls were turned, none by more than this.
+    void rotated(double distance) {
+        path_ += distance;
+        candidates_.rotated(distance);
+    }
     [[nodiscard]] const Vec3& position() const { return x_; }
 
     // Move from the present position toward the HIP as far as the surface lets.
@@ -74,6 +86,8 @@ private:
         ContactPlane plane;
     };
 
+    [[nodiscard]] double wanted_reach(double motion_mm) const;
+    double gather(double reach, std::span<const SolverBall> balls, TickCounters& counters);
     void renew(std::uint32_t block, TickCounters& counters);
     void collect_touching(std::span<const SolverBall> balls, TickCounters& counters);
     [[nodiscard]] double sweep(const Vec3& step, std::span<const SolverBall> balls, TickCounters& counters);
@@ -87,7 +101,7 @@ private:
     Vec3 x_;
     Vec3 local_;  // x relative to the candidates' centre, at the last evaluation
     double free_distance_ = 0.0;
-    double path_ = 0.0;  // length moved since the gather
+    double path_ = 0.0;  // length moved since the gather, turns included
     std::uint32_t stamp_ =
         Candidates::kPlaced;  // names the present local_: what carries it need not be evaluated again
     PlaneSet planes_;

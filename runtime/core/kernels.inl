@@ -76,6 +76,22 @@ HAPTICLOD_INLINE void residual(const float (*v)[8], const float p[3], V8& best, 
     best2 = SELECT(inside, r2, best2);
 }
 
+// Bit k: lane k of a comparison's result.
+HAPTICLOD_INLINE std::uint32_t bits_of(const I8& mask) {
+#if defined(__AVX__)
+    return static_cast<std::uint32_t>(__builtin_ia32_movmskps256((F8)mask));
+#elif defined(__SSE__)
+    typedef float F4 __attribute__((vector_size(16)));
+    F4 half[2];
+    __builtin_memcpy(half, &mask, sizeof(mask));
+    return static_cast<std::uint32_t>(__builtin_ia32_movmskps(half[0]) | __builtin_ia32_movmskps(half[1]) << 4);
+#else
+    std::uint32_t bits = 0;
+    for (int k = 0; k < 8; ++k) bits |= static_cast<std::uint32_t>(mask[k] & 1) << k;
+    return bits;
+#endif
+}
+
 HAPTICLOD_INLINE void root(const F8& v, F8& out) {
     for (int k = 0; k < 8; ++k) out[k] = __builtin_sqrtf(v[k]);
 }
@@ -117,10 +133,30 @@ std::uint32_t crossed(const EvalBlock& block, const float y[3], float margin) {
     V8 n;
     F8 offset;
     load(block.nx, n.x), load(block.ny, n.y), load(block.nz, n.z), load(block.offset, offset);
-    const I8 mask = (n.x * y[0] + n.y * y[1] + n.z * y[2] - offset) < margin;
-    std::uint32_t bits = 0;
-    for (int k = 0; k < 8; ++k) bits |= static_cast<std::uint32_t>(mask[k] & 1) << k;
-    return bits;
+    return bits_of((n.x * y[0] + n.y * y[1] + n.z * y[2] - offset) < margin);
+}
+
+void near(const BlockBound* bounds, std::uint32_t count, const BallPack& balls, const float centre[3],
+          std::uint32_t active, float reach, float* least, float* low, std::uint32_t* bits) {
+    V8 at;
+    F8 kept, nearest;
+    load(balls.x, at.x), load(balls.y, at.y), load(balls.z, at.z), load(balls.kept, kept), load(least, nearest);
+    for (std::uint32_t b = 0; b < count; ++b) {
+        const BlockBound& block = bounds[b];
+        V8 r;
+        r.x = (block.x - centre[0]) - at.x, r.y = (block.y - centre[1]) - at.y, r.z = (block.z - centre[2]) - at.z;
+        F8 d;
+        root(V8_DOT(r, r), d);
+        d -= block.radius;
+        F8 h = r.x * block.nx + r.y * block.ny + r.z * block.nz;
+        h = SELECT(h > 0.0f, h, -h) - block.half;
+        d = SELECT(d > h, d, h) - kept;
+        const I8 within = d <= reach;
+        bits[b] = bits_of(within) & active;
+        nearest = SELECT(~within & (d < nearest), d, nearest);
+        store(low + 8 * b, d);
+    }
+    store(least, nearest);
 }
 
 }  // namespace hapticlod::HAPTICLOD_KERNEL_SPACE

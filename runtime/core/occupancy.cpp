@@ -24,29 +24,52 @@ void Occupancy::build(const LevelView& level) {
     }
 }
 
+namespace {
+
+BlockBound bound_of(const TriBlock& block) {
+    float lo[3], hi[3];
+    for (int k = 0; k < 3; ++k) {
+        lo[k] = hi[k] = block.v[k][0];
+        for (int row = k; row < 9; row += 3)
+            for (const float v : block.v[row]) lo[k] = std::min(lo[k], v), hi[k] = std::max(hi[k], v);
+    }
+    BlockBound b{};
+    b.x = 0.5f * (lo[0] + hi[0]), b.y = 0.5f * (lo[1] + hi[1]), b.z = 0.5f * (lo[2] + hi[2]);
+    // The slab along the sum of the area normals; without one (a block folded onto itself) any direction serves.
+    float sum[3] = {0.0f, 0.0f, 0.0f};
+    for (int lane = 0; lane < 8; ++lane) {
+        float u[3], v[3];
+        for (int k = 0; k < 3; ++k)
+            u[k] = block.v[3 + k][lane] - block.v[k][lane], v[k] = block.v[6 + k][lane] - block.v[k][lane];
+        for (int k = 0; k < 3; ++k)
+            sum[k] += u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3];
+    }
+    const float length = std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
+    const bool directed = length > 0.0f && std::isfinite(length);
+    b.nx = directed ? sum[0] / length : 1.0f, b.ny = directed ? sum[1] / length : 0.0f;
+    b.nz = directed ? sum[2] / length : 0.0f;
+    float most = 0.0f, size = 0.0f;
+    for (int corner = 0; corner < 9; corner += 3)
+        for (int lane = 0; lane < 8; ++lane) {
+            const float dx = block.v[corner][lane] - b.x, dy = block.v[corner + 1][lane] - b.y,
+                        dz = block.v[corner + 2][lane] - b.z;
+            most = std::max(most, dx * dx + dy * dy + dz * dz);
+            b.half = std::max(b.half, std::abs(b.nx * dx + b.ny * dy + b.nz * dz));
+        }
+    for (int k = 0; k < 3; ++k) size = std::max({size, std::abs(lo[k]), std::abs(hi[k])});
+    // Outward, whatever the rounding.
+    b.radius = std::sqrt(most) * 1.000001f + size * 1e-6f;
+    b.half += b.radius * 1e-6f + size * 1e-6f;
+    return b;
+}
+
+}  // namespace
+
 ActiveLevel::ActiveLevel(const LevelView& level) : view(level) {
     occupancy.build(level);
     closed = std::find(level.adjacency.begin(), level.adjacency.end(), kNoNeighbour) == level.adjacency.end();
-    spheres.reserve(level.blocks.size());
-    for (const TriBlock& block : level.blocks) {
-        float lo[3], hi[3];
-        for (int k = 0; k < 3; ++k) {
-            lo[k] = hi[k] = block.v[k][0];
-            for (int row = k; row < 9; row += 3)
-                for (const float v : block.v[row]) lo[k] = std::min(lo[k], v), hi[k] = std::max(hi[k], v);
-        }
-        Sphere s{0.5f * (lo[0] + hi[0]), 0.5f * (lo[1] + hi[1]), 0.5f * (lo[2] + hi[2]), 0.0f};
-        float most = 0.0f, size = 0.0f;
-        for (int corner = 0; corner < 9; corner += 3)
-            for (int lane = 0; lane < 8; ++lane) {
-                const float dx = block.v[corner][lane] - s.x, dy = block.v[corner + 1][lane] - s.y,
-                            dz = block.v[corner + 2][lane] - s.z;
-                most = std::max(most, dx * dx + dy * dy + dz * dz);
-            }
-        for (int k = 0; k < 3; ++k) size = std::max({size, std::abs(lo[k]), std::abs(hi[k])});
-        s.radius = std::sqrt(most) * 1.000001f + size * 1e-6f;  // outward, whatever the rounding
-        spheres.push_back(s);
-    }
+    bounds.reserve(level.blocks.size());
+    for (const TriBlock& block : level.blocks) bounds.push_back(bound_of(block));
 }
 
 }  // namespace hapticlod

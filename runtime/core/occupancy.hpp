@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/kernels.hpp"
 #include "core/level.hpp"
 
 namespace hapticlod {
@@ -54,20 +55,16 @@ private:
     int shift_ = 0;
 };
 
-// Centre and radius of a block's triangles: most blocks are passed over by this alone.
-struct Sphere {
-    float x, y, z, radius;
-};
 
 // A level as the tick uses it: the stored arrays, and what is cheap enough to make anew when it is loaded.
 struct ActiveLevel {
     LevelView view;
     Occupancy occupancy;
-    std::vector<Sphere> spheres;  // one per block
+    std::vector<BlockBound> bounds;  // one per block
     bool closed = false;          // no open border: what is behind the surface is inside
 
     explicit ActiveLevel(const LevelView& level);
-    [[nodiscard]] std::size_t bytes() const { return occupancy.bytes() + spheres.size() * sizeof(Sphere); }
+    [[nodiscard]] std::size_t bytes() const { return occupancy.bytes() + bounds.size() * sizeof(BlockBound); }
 };
 
 }  // namespace hapticlod

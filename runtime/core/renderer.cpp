@@ -11,7 +11,6 @@
 #include "core/force_gate.hpp"
 #include "core/inside.hpp"
 #include "core/mapping.hpp"
-#include "core/rotation.hpp"
 #include "core/speed.hpp"
 #include "core/surface.hpp"
 #include "core/switching.hpp"
@@ -48,7 +47,7 @@ struct Renderer::State {
     void forget();
     double accept_pose(const Pose& pose, double time_s, TickCounters& counters);
     void turn(const double q[4]);
-    bool turn_in_contact(const double q[4], TickCounters& counters);
+    bool turn_in_contact(const double q[4], double motion_mm, TickCounters& counters);
     void start(TickCounters& counters);
     MappingOutcome switch_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
     MappingOutcome change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
@@ -125,15 +124,15 @@ void Renderer::State::turn(const double q[4]) {
         moved = std::max(moved, norm(to - balls[i].offset));
         balls[i].offset = to;
     }
-    tree.turn(q);
-    if (moved > 0.0) solver.candidates().rotated(moved);
+    tree.turn(q, balls);
+    if (moved > 0.0) solver.rotated(moved);
 }
 
 // Turns the tool where it is; whatever a ball would pass through moves the tool instead. False: not resolved, held.
-bool Renderer::State::turn_in_contact(const double q[4], TickCounters& counters) {
+bool Renderer::State::turn_in_contact(const double q[4], double motion_mm, TickCounters& counters) {
     for (std::size_t i = 0; i < balls.size(); ++i) turned[i] = rotate(q, tool_centres[i]);
     const auto used = tool(level_switch.level());
-    if (!make_way_for_turn(solver, used, std::span<const Vec3>(turned).first(used.size()), counters)) return false;
+    if (!solver.make_way(used, std::span<const Vec3>(turned).first(used.size()), motion_mm, counters)) return false;
     turn(q);
     return true;
 }
@@ -159,6 +158,7 @@ double Renderer::State::accept_pose(const Pose& pose, double now_s, TickCounters
         counters.errors |= kErrHipJump;
         forget();
     }
+    const double motion_mm = started ? norm(position - hip) : 0.0;
     hip = position;
     if (!std::equal(q, q + 4, asked)) {
         const double scale = 1.0 / std::sqrt(length2);
@@ -166,7 +166,7 @@ double Renderer::State::accept_pose(const Pose& pose, double now_s, TickCounters
         std::copy(q, q + 4, asked);
         if (!started) {
             turn(unit);
-        } else if (!turn_in_contact(unit, counters)) {
+        } else if (!turn_in_contact(unit, motion_mm, counters)) {
             counters.errors |= kErrTurnHeld;
         }
     }

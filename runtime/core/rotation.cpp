@@ -1,7 +1,9 @@
-#include "core/rotation.hpp"
-
+// Turning the tool in contact. A rotation carries every ball along a chord; where a chord would pass through the
+// surface, the reference point gives way by the least translation that keeps all balls on their side.
 #include <algorithm>
 #include <cmath>
+
+#include "core/contact.hpp"
 
 namespace hapticlod {
 namespace {
@@ -16,49 +18,57 @@ bool already_there(const PlaneSet& set, const ContactPlane& plane, double same) 
 
 }  // namespace
 
-bool make_way_for_turn(ContactSolver& solver, std::span<const SolverBall> balls, std::span<const Vec3> offsets,
-                       TickCounters& counters) {
-    Candidates& candidates = solver.candidates();
-    const double skin = solver.tolerances().skin;
+bool ContactSolver::make_way(std::span<const SolverBall> balls, std::span<const Vec3> offsets, double motion_mm,
+                             TickCounters& counters) {
+    const double skin = tolerances_.skin;
     double longest = 0.0;
     for (std::size_t i = 0; i < balls.size(); ++i) longest = std::max(longest, norm(offsets[i] - balls[i].offset));
-    const double reach = 2.0 * longest + 8.0 * skin;
-    if (candidates.gather(solver.position(), reach, balls, counters) < reach) return false;
+    // The shift may be as long as the turn; what the candidates hold beyond it serves the tick that follows.
+    const double needed = 2.0 * longest + 8.0 * skin;
+    if (!candidates_.valid() || norm(x_ - candidates_.centre()) + needed > candidates_.reach()) {
+        if (gather(needed + longest + wanted_reach(motion_mm), balls, counters) < needed) return false;
+    }
+    local_ = x_ - candidates_.centre();
+    ++stamp_;
     // Unknown: the translation s of the reference point. A ball's chord is then its own turn plus s.
     PlaneSet planes;
     Vec3 shift;
     for (int round = 0; round < kRounds; ++round) {
         const int before = planes.count;
-        for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
-            if (candidates.key(i) > longest + norm(shift)) continue;
-            const ItemBlock& b = candidates.block(i);
-            counters.tests += 8;
+        const double shifted = norm(shift), most = longest + shifted + skin;
+        for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
+            if (candidates_.key(i) - path_ > most) continue;
+            if (candidates_.stamp(i) != stamp_) renew(i, counters);
+            const ItemBlock& b = candidates_.block(i);
+            const EvalBlock& e = candidates_.evaluation(i);
+            const SolverBall& ball = balls[b.ball[0]];
+            const Vec3 turned = offsets[b.ball[0]] - ball.offset, chord = turned + shift;
+            const double within = norm(chord) + skin;
             for (std::uint32_t k = 0; k < 8; ++k) {
-                const SolverBall& ball = balls[b.ball[k]];
-                const Vec3 turned = offsets[b.ball[k]] - ball.offset, chord = turned + shift;
+                if (double{e.clearance[k]} > within) continue;
                 const Triangle t = item_triangle(b, k);
-                const double at = time_of_touch(t, {}, chord, ball.kept - 0.1 * skin, 0.02 * skin);
+                const double at = time_of_touch(t, local_, chord, ball.kept - 0.1 * skin, 0.02 * skin);
                 if (at > 1.0) continue;
-                const Vec3 p = chord * at;
+                const Vec3 p = local_ + chord * at;
                 const ClosestPoint c = closest_on_triangle(p, t);
                 const double d = std::sqrt(c.distance2);
                 if (!(d > 0.0)) continue;
                 const Vec3 n = (p - c.point) * (1.0 / d);
-                const ContactPlane plane{
-                    n, dot(n, c.point) + ball.kept - dot(n, turned), c.point, 0.0, b.triangle[k], b.ball[k], i, k};
+                const ContactPlane plane{n, dot(n, c.point - local_) + ball.kept - dot(n, turned), c.point, 0.0,
+                                         b.triangle[k], b.ball[k], i, k};
                 if (already_there(planes, plane, 0.01 * skin)) continue;
                 if (planes.count == kMaxPlanes) return false;
                 planes.planes[planes.count++] = plane;
             }
         }
         if (planes.count == before) {
-            solver.place(solver.position() + shift);
+            place(x_ + shift);
             return true;
         }
         const PlaneSolution solution = nearest_feasible(planes, {}, false, 1e-3 * skin);
         if (!solution.feasible) return false;
         shift = solution.y;
-        if (longest + norm(shift) > reach - skin) return false;
+        if (longest + norm(shift) > needed - skin) return false;
     }
     return false;
 }

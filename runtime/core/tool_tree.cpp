@@ -49,6 +49,8 @@ void ToolTree::build(std::span<const Vec3> centres, std::span<const SolverBall> 
         for (std::uint32_t k = i; k < i + node.count; ++k) node.least_ball = std::min(node.least_ball, order_[k]);
         nodes_.push_back(node);
     }
+    packs_.resize(nodes_.size());
+    pack_up(balls);
     for (std::uint32_t from = 0, to = static_cast<std::uint32_t>(nodes_.size()); to - from > 1;) {
         for (std::uint32_t i = from; i < to; i += kFanOut) {
             Node node{{}, {}, 0.0, i, std::min(kFanOut, to - i), total, false};
@@ -64,8 +66,23 @@ void ToolTree::build(std::span<const Vec3> centres, std::span<const SolverBall> 
     }
 }
 
-void ToolTree::turn(const double q[4]) {
+void ToolTree::turn(const double q[4], std::span<const SolverBall> balls) {
     for (Node& node : nodes_) node.offset = rotate(q, node.centre);
+    pack_up(balls);
+}
+
+void ToolTree::pack_up(std::span<const SolverBall> balls) {
+    for (std::size_t n = 0; n < packs_.size(); ++n) {
+        const Node& node = nodes_[n];
+        for (std::uint32_t k = 0; k < kFanOut; ++k) {
+            const SolverBall& ball = balls[order_[node.first + (k < node.count ? k : 0)]];
+            const Vec3 at = ball.offset - node.offset;
+            packs_[n].x[k] = static_cast<float>(at.x);
+            packs_[n].y[k] = static_cast<float>(at.y);
+            packs_[n].z[k] = static_cast<float>(at.z);
+            packs_[n].kept[k] = static_cast<float>(ball.kept);
+        }
+    }
 }
 
 }  // namespace hapticlod

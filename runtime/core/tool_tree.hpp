@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "core/kernels.hpp"
 #include "core/vec.hpp"
 
 namespace hapticlod {
@@ -29,15 +30,21 @@ public:
     };
 
     void build(std::span<const Vec3> centres, std::span<const SolverBall> balls);
-    void turn(const double q[4]);
+    // The balls' offsets have turned by q.
+    void turn(const double q[4], std::span<const SolverBall> balls);
 
     [[nodiscard]] std::span<const Node> nodes() const { return nodes_; }
     [[nodiscard]] std::uint32_t root() const { return static_cast<std::uint32_t>(nodes_.size()) - 1; }
     [[nodiscard]] std::uint32_t ball(std::uint32_t place) const { return order_[place]; }
+    // The balls of a node above balls (those come first), relative to the node's offset; unused lanes repeat the first.
+    [[nodiscard]] const BallPack& pack(std::uint32_t node) const { return packs_[node]; }
 
 private:
     std::vector<Node> nodes_;           // children before parents; the root is last
     std::vector<std::uint32_t> order_;  // ball indices along a Morton curve
+    std::vector<BallPack> packs_;       // one per node above balls
+
+    void pack_up(std::span<const SolverBall> balls);
 };
 
 }  // namespace hapticlod
