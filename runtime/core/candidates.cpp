@@ -25,12 +25,14 @@ double axis_gap(double p, double lo, double hi) { return p < lo ? lo - p : (p > 
 
 void Candidates::allocate(const ToolTree& tree, std::size_t balls) {
     tree_ = &tree;
-    blocks_.resize(kMaxBlocks);
-    evaluations_.resize(kMaxBlocks);
+    pairs_.resize(kMaxBlocks);
+    last_pairs_.resize(kMaxBlocks);
     keys_.resize(kMaxBlocks);
-    stamps_.resize(kMaxBlocks);
-    slots_.resize(kMaxBlocks);
-    sources_.resize(kMaxBlocks);
+    last_keys_.resize(kMaxBlocks);
+    evaluations_.resize(kMaxBlocks);
+    free_.resize(kMaxBlocks);
+    table_.assign(kTable, {});
+    epoch_ = 0;
     balls_clear_until_.resize(balls);
     nodes_clear_until_.resize(tree.nodes().size());
     nodes_looked_at_.resize(tree.nodes().size());
@@ -47,21 +49,47 @@ void Candidates::forget() {
     std::fill(balls_clear_until_.begin(), balls_clear_until_.end(), 0.0);
     std::fill(nodes_clear_until_.begin(), nodes_clear_until_.end(), 0.0);
     std::fill(nodes_looked_at_.begin(), nodes_looked_at_.end(), 0.0);
+    for (std::uint32_t i = 0; i < kMaxBlocks; ++i) free_[i] = kMaxBlocks - 1 - i;
     odometer_ = 0.0;
+    block_count_ = 0;
+    evaluated_ = 0;
     valid_ = false;
 }
 
-void Candidates::rotated(double distance) {
-    odometer_ += distance;
-    turned_ += distance;
-    std::fill_n(stamps_.begin(), block_count_, kListed);
-    placed_ = 0;
+std::size_t Candidates::bytes() const {
+    return kMaxBlocks * (2 * sizeof(Pair) + 2 * sizeof(double) + sizeof(EvalBlock) + sizeof(std::uint32_t)) +
+           kTable * sizeof(Known) +
+           (balls_clear_until_.size() + nodes_clear_until_.size() + nodes_looked_at_.size()) * sizeof(double);
 }
 
-std::size_t Candidates::bytes() const {
-    return blocks_.size() *
-               (sizeof(ItemBlock) + sizeof(EvalBlock) + sizeof(double) + 2 * sizeof(std::uint32_t) + sizeof(Source)) +
-           (balls_clear_until_.size() + nodes_clear_until_.size() + nodes_looked_at_.size()) * sizeof(double);
+std::uint32_t Candidates::triangle_id(std::uint32_t i, std::uint32_t lane) const {
+    const TriBlock& block = level_->view.blocks[pairs_[i].block];
+    return block.id[lane] == kNoNeighbour ? block.id[0] : block.id[lane];
+}
+
+bool Candidates::passes_by(std::uint32_t i, const Vec3& from, const Vec3& step, double margin) const {
+    const BlockBound& b = level_->bounds[pairs_[i].block];
+    const SolverBall& ball = solver_balls_[pairs_[i].ball];
+    const Vec3 to = Vec3{b.x, b.y, b.z} - (centre_ + from + ball.offset);
+    const double length2 = norm2(step), along = dot(to, step), t = std::clamp(along, 0.0, length2);
+    const double apart2 = norm2(to) * length2 - t * (2.0 * along - t);  // times length2
+    const double least = double{b.radius} + ball.kept + margin;
+    return apart2 > least * least * length2;
+}
+
+double Candidates::evaluate(std::uint32_t i, const Vec3& x, std::uint32_t stamp) {
+    Pair& pair = pairs_[i];
+    if (pair.stamp == kListed) pair.slot = free_[kMaxBlocks - ++evaluated_];
+    pair.stamp = stamp;
+    EvalBlock& out = evaluations_[pair.slot];
+    const SolverBall& ball = solver_balls_[pair.ball];
+    (x + ball.offset).store(out.origin);
+    float shift[3], residual[3];
+    for (int k = 0; k < 3; ++k) {
+        shift[k] = static_cast<float>(out.origin[k]);
+        residual[k] = static_cast<float>(out.origin[k] - double{shift[k]});
+    }
+    return double{kernels_->eval(level_->view.blocks[pair.block], shift, residual, static_cast<float>(ball.kept), out)};
 }
 
 double Candidates::clearance_bound(const Vec3& x, double path) const {
@@ -115,25 +143,51 @@ double Candidates::empty_within(const Vec3& centre, double outer, TickCounters& 
     return std::sqrt(nearest2);
 }
 
-void Candidates::place(std::uint32_t i) {
-    const SolverBall& ball = solver_balls_[sources_[i].ball];
-    const Vec3 centre = centre_ + ball.offset;
-    const double at[3] = {centre.x, centre.y, centre.z};
-    float shift[3], residual[3];
-    for (int k = 0; k < 3; ++k) {
-        shift[k] = static_cast<float>(at[k]);
-        residual[k] = static_cast<float>(at[k] - double{shift[k]});
+// The entry of a pair in the table, or the free entry where it would go.
+Candidates::Known& Candidates::known(std::uint32_t block, std::uint32_t ball) {
+    const std::uint64_t mixed = (std::uint64_t{block} << 12 ^ ball) * 0x9e3779b97f4a7c15u;
+    for (std::uint32_t at = static_cast<std::uint32_t>(mixed >> 40) & table_mask_;; at = (at + 1) & table_mask_) {
+        Known& k = table_[at];
+        if (k.epoch != epoch_ || (k.block == block && k.ball == ball)) return k;
     }
-    slots_[i] = placed_++;
-    ItemBlock& out = blocks_[slots_[i]];
-    kernels_->place(level_->view.blocks[sources_[i].block], shift, residual, static_cast<float>(ball.kept), out);
-    std::fill_n(out.ball, 8, sources_[i].ball);
-    stamps_[i] = kPlaced;
+}
+
+// Puts the evaluated pairs of the last gather into the table.
+void Candidates::remember() {
+    // No larger than it has to be: it stays in the nearest cache.
+    table_mask_ = std::bit_ceil(4 * last_evaluated_) - 1;
+    if (++epoch_ == 0) {
+        std::fill(table_.begin(), table_.end(), Known{});
+        epoch_ = 1;
+    }
+    for (std::uint32_t i = 0; i < last_count_; ++i)
+        if (last_pairs_[i].stamp != kListed)
+            known(last_pairs_[i].block, last_pairs_[i].ball) = {last_pairs_[i].block, last_pairs_[i].ball, i, epoch_};
+}
+
+// Frees the evaluations that the present list has not taken over.
+void Candidates::release() {
+    for (std::uint32_t i = 0; i < last_count_; ++i)
+        if (last_pairs_[i].stamp != kListed) free_[kMaxBlocks - evaluated_--] = last_pairs_[i].slot;
+}
+
+void Candidates::list(std::uint32_t block, std::uint32_t ball, double bound) {
+    Pair pair{block, ball, 0, kListed};
+    if (last_evaluated_ > 0) {
+        const Known& k = known(block, ball);
+        if (k.epoch == epoch_) {
+            Pair& before = last_pairs_[k.index];
+            pair = before;
+            bound = std::max(bound, last_keys_[k.index] - last_path_);
+        }
+    }
+    keys_[block_count_] = bound;
+    pairs_[block_count_++] = pair;
 }
 
 // The balls of one node against the blocks around it, eight balls at a time.
-bool Candidates::gather_balls(std::uint32_t index, std::span<const SolverBall> balls, double reach,
-                              TickCounters& counters) {
+bool Candidates::gather_balls(std::uint32_t index, double reach, TickCounters& counters) {
+    const std::span<const SolverBall> balls = solver_balls_;
     constexpr std::uint32_t kChunk = 32;
     const LevelView& level = level_->view;
     const ToolTree::Node& node = tree_->nodes()[index];
@@ -149,7 +203,7 @@ bool Candidates::gather_balls(std::uint32_t index, std::span<const SolverBall> b
         ++counters.balls;
     }
     if (active == 0) return true;
-    const double outer = widest + 2.0 * reach;
+    const double outer = widest + reach;
     const Vec3 centre = centre_ + node.offset;
     const float at[3] = {static_cast<float>(centre.x), static_cast<float>(centre.y), static_cast<float>(centre.z)};
     const float within = static_cast<float>(reach) * 1.00001f;
@@ -170,10 +224,8 @@ bool Candidates::gather_balls(std::uint32_t index, std::span<const SolverBall> b
                 for (near |= bits[b]; bits[b] != 0; bits[b] &= bits[b] - 1) {
                     const int lane = std::countr_zero(bits[b]);
                     if (block_count_ == kMaxBlocks) return complete = false;
-                    sources_[block_count_] = {from + b, tree_->ball(node.first + static_cast<std::uint32_t>(lane))};
-                    keys_[block_count_] = double{low[8 * b + static_cast<std::uint32_t>(lane)]};
-                    stamps_[block_count_] = kListed;
-                    ++block_count_;
+                    list(from + b, tree_->ball(node.first + static_cast<std::uint32_t>(lane)),
+                         double{low[8 * b + static_cast<std::uint32_t>(lane)]});
                 }
         }
         return true;
@@ -189,8 +241,8 @@ bool Candidates::gather_balls(std::uint32_t index, std::span<const SolverBall> b
     return true;
 }
 
-bool Candidates::gather_node(std::uint32_t index, std::span<const SolverBall> balls, double reach,
-                             TickCounters& counters) {
+bool Candidates::gather_node(std::uint32_t index, double reach, TickCounters& counters) {
+    const std::span<const SolverBall> balls = solver_balls_;
     const ToolTree::Node& node = tree_->nodes()[index];
     if (node.least_ball >= balls.size() || nodes_clear_until_[index] - odometer_ > reach) return true;
     // A node that was near a moment ago is near now: look at its children at once.
@@ -206,12 +258,12 @@ bool Candidates::gather_node(std::uint32_t index, std::span<const SolverBall> ba
     }
     double until = std::numeric_limits<double>::infinity();
     if (node.above_balls) {
-        if (!gather_balls(index, balls, reach, counters)) return false;
+        if (!gather_balls(index, reach, counters)) return false;
         for (std::uint32_t k = node.first; k < node.first + node.count; ++k)
             if (tree_->ball(k) < balls.size()) until = std::min(until, balls_clear_until_[k]);
     } else {
         for (std::uint32_t k = node.first; k < node.first + node.count; ++k) {
-            if (!gather_node(k, balls, reach, counters)) return false;
+            if (!gather_node(k, reach, counters)) return false;
             if (tree_->nodes()[k].least_ball < balls.size()) until = std::min(until, nodes_clear_until_[k]);
         }
     }
@@ -220,22 +272,34 @@ bool Candidates::gather_node(std::uint32_t index, std::span<const SolverBall> ba
     return true;
 }
 
-double Candidates::gather(const Vec3& centre, double reach, std::span<const SolverBall> balls, TickCounters& counters) {
+double Candidates::gather(const Vec3& centre, double reach, double path, std::span<const SolverBall> balls,
+                          TickCounters& counters) {
     solver_balls_ = balls;
     odometer_ += norm(centre - centre_);
     centre_ = centre;
     turned_ = 0.0;
-    for (int attempt = 0;; ++attempt) {
+    std::swap(pairs_, last_pairs_);
+    std::swap(keys_, last_keys_);
+    last_count_ = block_count_;
+    last_evaluated_ = evaluated_;
+    last_path_ = path;
+    bool complete = false;
+    for (int attempt = 0; attempt < 13; ++attempt) {
         block_count_ = 0;
-        placed_ = 0;
-        const bool complete = gather_node(tree_->root(), balls, reach, counters);
-        valid_ = true;
-        // With nothing near, the candidates (none) stay complete for as long as the tool is clear.
-        reach_ = block_count_ == 0 && complete ? std::max(reach, nodes_clear_until_[tree_->root()] - odometer_) : reach;
-        if (complete || attempt == 12) return complete ? reach_ : 0.0;
+        if (last_evaluated_ > 0) remember();
+        complete = gather_node(tree_->root(), reach, counters);
+        if (complete) break;
         // Too many triangles near: take a shorter reach. Safe distances found so far stay true.
         reach *= 0.5;
     }
+    // Evaluations go to the pairs that are listed again; those of the others are free.
+    for (std::uint32_t i = 0; last_evaluated_ > 0 && i < block_count_; ++i)
+        if (pairs_[i].stamp != kListed) last_pairs_[known(pairs_[i].block, pairs_[i].ball).index].stamp = kListed;
+    if (last_evaluated_ > 0) release();
+    valid_ = true;
+    // With nothing near, the candidates (none) stay complete for as long as the tool is clear.
+    reach_ = block_count_ == 0 && complete ? std::max(reach, nodes_clear_until_[tree_->root()] - odometer_) : reach;
+    return complete ? reach_ : 0.0;
 }
 
 }  // namespace hapticlod

@@ -12,6 +12,7 @@
 #include "core/kernels.hpp"
 #include "core/occupancy.hpp"
 #include "core/tool_tree.hpp"
+#include "core/triangle.hpp"
 #include "core/vec.hpp"
 
 namespace hapticlod {
@@ -31,65 +32,81 @@ public:
 
     // Everything that a ball could touch while it stays within `reach` of where it is with the reference at centre.
     // Items beyond the reach and repeated ones may be among it. Blocks are only listed, with a lower bound of their
-    // clearance: most are never looked at. Returns the reach that could be granted (less where the scratch is too
-    // small).
-    double gather(const Vec3& centre, double reach, std::span<const SolverBall> balls, TickCounters& counters);
+    // clearance: most are never looked at. What is known of pairs that were listed before is kept; `path` is the length
+    // moved since the last gather. Returns the reach that could be granted (less where the scratch is too small).
+    double gather(const Vec3& centre, double reach, double path, std::span<const SolverBall> balls,
+                  TickCounters& counters);
 
     void invalidate() { valid_ = false; }
     // Forget the safe distances too: the level or the tool changed.
     void forget();
-    // The tool's balls moved by up to `distance` relative to the reference point. What was listed stays, with less
-    // reach; what was placed has to be placed anew.
-    void rotated(double distance);
+    // The tool's balls moved by up to `distance` relative to the reference point.
+    void rotated(double distance) { odometer_ += distance, turned_ += distance; }
 
     [[nodiscard]] bool valid() const { return valid_; }
     [[nodiscard]] const Vec3& centre() const { return centre_; }
     // What is left for the reference point to move.
     [[nodiscard]] double reach() const { return reach_ - turned_; }
     [[nodiscard]] std::uint32_t block_count() const { return block_count_; }
-    // A block's items, copied out of the level when first asked for.
-    [[nodiscard]] const ItemBlock& block(std::uint32_t i) {
-        if (stamps_[i] == kListed) place(i);
-        return blocks_[slots_[i]];
+    [[nodiscard]] std::uint32_t ball(std::uint32_t i) const { return pairs_[i].ball; }
+    // Whether the move from -> from + step of the reference point (relative to centre()) keeps the ball by the margin
+    // clear of the block's bounding ball: for that nothing has to be evaluated.
+    [[nodiscard]] bool passes_by(std::uint32_t i, const Vec3& from, const Vec3& step, double margin) const;
+    [[nodiscard]] std::uint32_t triangle_id(std::uint32_t i, std::uint32_t lane) const;
+    // As an obstacle of the reference point, relative to centre().
+    [[nodiscard]] Triangle triangle(std::uint32_t i, std::uint32_t lane) const {
+        const auto& v = level_->view.blocks[pairs_[i].block].v;
+        const Vec3 at = centre_ + solver_balls_[pairs_[i].ball].offset;
+        return {Vec3{v[0][lane], v[1][lane], v[2][lane]} - at, Vec3{v[3][lane], v[4][lane], v[5][lane]} - at,
+                Vec3{v[6][lane], v[7][lane], v[8][lane]} - at};
     }
-    // Whether the block was ever evaluated where the tool's orientation was the same.
-    [[nodiscard]] bool evaluated(std::uint32_t i) const { return stamps_[i] > kPlaced; }
-    [[nodiscard]] EvalBlock& evaluation(std::uint32_t i) { return evaluations_[slots_[i]]; }
-    // Lower bound of a block's clearance plus the path length at which it was found.
+    // Looks at a pair with the reference point at x, and keeps what it sees. Returns the least clearance.
+    double evaluate(std::uint32_t i, const Vec3& x, std::uint32_t stamp);
+    [[nodiscard]] bool evaluated(std::uint32_t i) const { return pairs_[i].stamp != kListed; }
+    [[nodiscard]] const EvalBlock& evaluation(std::uint32_t i) const { return evaluations_[pairs_[i].slot]; }
+    // Lower bound of a pair's clearance plus the path length at which it was found.
     [[nodiscard]] double& key(std::uint32_t i) { return keys_[i]; }
     [[nodiscard]] double key(std::uint32_t i) const { return keys_[i]; }
-    // Where the evaluation was made (the solver's stamp, above kPlaced).
-    static constexpr std::uint32_t kListed = 0, kPlaced = 1;
-    [[nodiscard]] std::uint32_t& stamp(std::uint32_t i) { return stamps_[i]; }
+    // Which evaluate() was the last.
+    [[nodiscard]] std::uint32_t stamp(std::uint32_t i) const { return pairs_[i].stamp; }
+    static constexpr std::uint32_t kListed = 0;
     // Lower bound of the tool's clearance at x after a path of that length, as far as the gathers know.
     [[nodiscard]] double clearance_bound(const Vec3& x, double path) const;
     [[nodiscard]] std::size_t bytes() const;
 
 private:
-    void place(std::uint32_t i);
-    bool gather_node(std::uint32_t node, std::span<const SolverBall> balls, double reach, TickCounters& counters);
-    bool gather_balls(std::uint32_t node, std::span<const SolverBall> balls, double reach, TickCounters& counters);
+    struct Pair {
+        std::uint32_t block, ball, slot, stamp;
+    };
+    struct Known {  // of a pair of the last gather
+        std::uint32_t block, ball, index, epoch;
+    };
+    static constexpr std::uint32_t kTable = 4 * kMaxBlocks;
+
+    bool gather_node(std::uint32_t node, double reach, TickCounters& counters);
+    bool gather_balls(std::uint32_t node, double reach, TickCounters& counters);
+    void list(std::uint32_t block, std::uint32_t ball, double bound);
+    void remember();
+    void release();
+    [[nodiscard]] Known& known(std::uint32_t block, std::uint32_t ball);
     [[nodiscard]] double empty_within(const Vec3& centre, double outer, TickCounters& counters) const;
     template <class Use>
     void for_cells(const Vec3& centre, double range, TickCounters& counters, Use&& use) const;
 
     const ActiveLevel* level_ = nullptr;
     const Kernels* kernels_ = nullptr;
-    std::vector<ItemBlock> blocks_;  // as far as placed
+    std::vector<Pair> pairs_, last_pairs_;
+    std::vector<double> keys_, last_keys_;
     std::vector<EvalBlock> evaluations_;
-    std::vector<double> keys_;
-    std::vector<std::uint32_t> stamps_, slots_;
-    struct Source {
-        std::uint32_t block, ball;
-    };
-    std::vector<Source> sources_;
+    std::vector<std::uint32_t> free_;  // slots of evaluations_ that no pair holds
+    std::vector<Known> table_;         // open addressing; entries of other epochs are empty
     std::span<const SolverBall> solver_balls_;
     const ToolTree* tree_ = nullptr;
     // A ball (in the tree's order), or all balls below a node, stay clear until the odometer says this.
     std::vector<double> balls_clear_until_, nodes_clear_until_, nodes_looked_at_;
-    std::uint32_t block_count_ = 0, placed_ = 0;
+    std::uint32_t block_count_ = 0, last_count_ = 0, evaluated_ = 0, last_evaluated_ = 0, epoch_ = 0, table_mask_ = 0;
     Vec3 centre_;
-    double reach_ = 0.0, turned_ = 0.0, odometer_ = 0.0;
+    double reach_ = 0.0, turned_ = 0.0, odometer_ = 0.0, last_path_ = 0.0;
     bool valid_ = false;
 };
 

@@ -66,11 +66,15 @@ void ContactSolver::bind(const ActiveLevel& level, const Kernels& kernels, const
 // Evaluates a block from where the tool is now. An older evaluation still bounds it: a plane
 // that separated a triangle once separates it for good, so a block is renewed only where its old planes say too little.
 void ContactSolver::renew(std::uint32_t i, TickCounters& counters) {
-    const float p[3] = {static_cast<float>(local_.x), static_cast<float>(local_.y), static_cast<float>(local_.z)};
-    const ItemBlock& block = candidates_.block(i);
-    candidates_.key(i) = path_ + double{kernels_->eval(block, p, candidates_.evaluation(i))};
-    candidates_.stamp(i) = stamp_;
+    candidates_.key(i) = path_ + candidates_.evaluate(i, candidates_.centre() + local_, stamp_);
     counters.tests += 8;
+}
+
+// The least clearance at local_ that the planes of the last evaluation grant.
+double ContactSolver::granted_here(std::uint32_t i, const SolverBall& ball) {
+    const double least{kernels_->granted(candidates_.evaluation(i), move_since(i, local_, ball).data())};
+    candidates_.key(i) = std::max(candidates_.key(i), path_ + least);
+    return least;
 }
 
 bool ContactSolver::separated(const Triangle& t, double kept) const {
@@ -85,21 +89,17 @@ bool ContactSolver::separated(const Triangle& t, double kept) const {
 void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCounters& counters) {
     std::size_t count = 0;
     const double within = tolerances_.touching;
-    const float p[3] = {static_cast<float>(local_.x), static_cast<float>(local_.y), static_cast<float>(local_.z)};
     for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
         if (candidates_.key(i) - path_ > within) continue;
+        const SolverBall& ball = balls[candidates_.ball(i)];
         if (candidates_.stamp(i) != stamp_) {
-            if (candidates_.evaluated(i) &&
-                kernels_->crossed(candidates_.evaluation(i), p, static_cast<float>(within)) == 0)
-                continue;
+            if (candidates_.evaluated(i) && granted_here(i, ball) > within) continue;
             renew(i, counters);
         }
         const EvalBlock& e = candidates_.evaluation(i);
-        const ItemBlock& b = candidates_.block(i);
         for (std::uint32_t k = 0; k < 8; ++k) {
             if (double{e.clearance[k]} > within) continue;
-            const SolverBall& ball = balls[b.ball[k]];
-            const ClosestPoint c = closest_on_triangle(local_, item_triangle(b, k));
+            const ClosestPoint c = closest_on_triangle(local_, candidates_.triangle(i, k));
             const double d = std::sqrt(c.distance2);
             if (!(d > 0.0)) continue;  // exactly on it: no side to keep
             const Vec3 n = (local_ - c.point) * (1.0 / d);
@@ -112,15 +112,16 @@ void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCoun
             }
             const Touch touch{d - ball.kept,
                               {n, dot(n, c.point) + ball.kept, c.point + ball.offset, ball.kept - ball.radius,
-                               b.triangle[k], b.ball[k], i, k}};
+                               candidates_.triangle_id(i, k), candidates_.ball(i), i, k}};
             for (; at > 0 && touches_[at - 1].clearance > touch.clearance; --at) touches_[at] = touches_[at - 1];
             touches_[at] = touch;
         }
     }
     planes_.count = 0;
     for (std::size_t i = 0; i < count && planes_.count < kMaxPlanes; ++i) {
-        const Triangle t = item_triangle(candidates_.block(touches_[i].plane.block), touches_[i].plane.lane);
-        if (!separated(t, balls[touches_[i].plane.ball].kept)) planes_.planes[planes_.count++] = touches_[i].plane;
+        const ContactPlane& plane = touches_[i].plane;
+        if (!separated(candidates_.triangle(plane.block, plane.lane), balls[plane.ball].kept))
+            planes_.planes[planes_.count++] = plane;
     }
 }
 
@@ -128,7 +129,7 @@ void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCoun
 bool ContactSolver::still_planes(const Contact& contact) {
     for (int i = 0; i < contact.active; ++i) {
         const ContactPlane& p = contact.planes[i];
-        const Triangle t = item_triangle(candidates_.block(p.block), p.lane);
+        const Triangle t = candidates_.triangle(p.block, p.lane);
         const Vec3 n = cross(t.b - t.a, t.c - t.a);
         const double along = dot(n, p.normal);
         if (along * along < (1.0 - 1e-12) * norm2(n) || !closest_on_triangle(local_, t).interior) return false;
@@ -137,44 +138,50 @@ bool ContactSolver::still_planes(const Contact& contact) {
 }
 
 double ContactSolver::sweep(const Vec3& step, std::span<const SolverBall> balls, TickCounters& counters) {
-    const double length = norm(step);
+    const double length = norm(step), margin = tolerances_.skin;
     const Vec3 y = local_ + step;
-    const float from[3] = {static_cast<float>(local_.x), static_cast<float>(local_.y), static_cast<float>(local_.z)};
-    const float to[3] = {static_cast<float>(y.x), static_cast<float>(y.y), static_cast<float>(y.z)};
-    const float margin = static_cast<float>(tolerances_.skin);
     double first = 2.0;
     for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
         if (candidates_.key(i) - path_ > length) continue;
-        // One plane with both ends on its free side keeps the whole step free.
+        const SolverBall& ball = balls[candidates_.ball(i)];
         if (candidates_.stamp(i) != stamp_) {
-            if (candidates_.evaluated(i) && (kernels_->crossed(candidates_.evaluation(i), to, margin) |
-                                             kernels_->crossed(candidates_.evaluation(i), from, margin)) == 0)
+            if (candidates_.evaluated(i)) {
+                const double here = granted_here(i, ball);
+                if (here > length) continue;
+                // One plane with both ends on its free side keeps the whole step free.
+                if (here > margin && kernels_->granted(candidates_.evaluation(i), move_since(i, y, ball).data()) >
+                                         static_cast<float>(margin))
+                    continue;
+            } else if (candidates_.passes_by(i, local_, step, margin)) {
                 continue;
+            }
             renew(i, counters);
+            if (candidates_.key(i) - path_ > length) continue;
         }
-        std::uint32_t bits = kernels_->crossed(candidates_.evaluation(i), to, margin);
-        for (const ItemBlock& b = candidates_.block(i); bits != 0; bits &= bits - 1) {
+        std::uint32_t bits =
+            kernels_->crossed(candidates_.evaluation(i), move_since(i, y, ball).data(), static_cast<float>(margin));
+        for (; bits != 0; bits &= bits - 1) {
             const auto k = static_cast<std::uint32_t>(std::countr_zero(bits));
-            const Triangle t = item_triangle(b, k);
-            const double kept = balls[b.ball[k]].kept;
-            if (separated(t, kept)) continue;
+            const Triangle t = candidates_.triangle(i, k);
+            if (separated(t, ball.kept)) continue;
             const double reach = std::min(first, 1.0);
             const double at =
-                time_of_touch(t, local_, step * reach, kept - 0.1 * tolerances_.skin, 0.02 * tolerances_.skin);
+                time_of_touch(t, local_, step * reach, ball.kept - 0.1 * tolerances_.skin, 0.02 * tolerances_.skin);
             if (at <= 1.0) first = at * reach;
         }
     }
     return first;
 }
 
-// Far enough for about two ticks at this speed: a longer reach gathers more than it saves.
+// Far enough for a tick or two at this speed: a longer reach gathers more than it saves.
 double ContactSolver::wanted_reach(double motion_mm) const {
-    return std::max(std::min(3.0 * motion_mm, 4.0 * cell_mm_) + 0.15 * mean_edge_mm_, 16.0 * tolerances_.skin);
+    return std::max(std::min(2.0 * motion_mm, 4.0 * cell_mm_) + 0.15 * mean_edge_mm_, 16.0 * tolerances_.skin);
 }
 
 double ContactSolver::gather(double reach, std::span<const SolverBall> balls, TickCounters& counters) {
+    const double path = path_;
     path_ = 0.0;
-    return candidates_.gather(x_, reach, balls, counters);
+    return candidates_.gather(x_, reach, path, balls, counters);
 }
 
 Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> balls, double motion_mm,
@@ -189,14 +196,14 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
     Vec3 last = x_, before_last = x_;
     for (int k = 0; k < kMaxIterations; ++k) {
         ++counters.iterations;
-        ++stamp_;
+        next_stamp();
         const double settled = tolerances_.settled * std::min(std::exp2(std::max(k - kPatience, 0)), 100.0);
         // Candidates are good while x and everything within touching distance stays inside their reach.
         if (!candidates_.valid() || norm(x_ - candidates_.centre()) > 0.75 * (candidates_.reach() - slack)) {
             const double granted = gather(wanted, balls, counters);
             if (granted < wanted) counters.errors |= kErrCandidates;
             wanted = std::min(2.0 * wanted, 64.0 * cell_mm_);  // a long way to go needs longer steps
-            out.active = 0;  // planes of the last step are in the old frame
+            out.active = 0;                                    // planes of the last step are in the old frame
             if (granted <= 2.0 * slack) {
                 counters.errors |= kErrNotConverged;
                 out.scp = x_;

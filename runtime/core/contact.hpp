@@ -5,12 +5,12 @@
 // none), the point y nearest to the HIP behind no plane (plane_qp), a sweep x -> y that stops at the first triangle
 // met. Repeated until y = x. Every step is collision-free and shortens the distance to the HIP.
 #pragma once
+#include <array>
 #include <span>
 #include <vector>
 
 #include "core/candidates.hpp"
 #include "core/plane_qp.hpp"
-#include "core/triangle.hpp"
 
 namespace hapticlod {
 
@@ -31,10 +31,6 @@ struct Tolerances {
 // Distance to a convex set is convex along a line, so Newton from the left never overshoots the first root.
 [[nodiscard]] double time_of_touch(const Triangle& triangle, const Vec3& p, const Vec3& step, double keep,
                                    double precision);
-
-inline Triangle item_triangle(const ItemBlock& b, std::uint32_t k) {
-    return {{b.v[0][k], b.v[1][k], b.v[2][k]}, {b.v[3][k], b.v[4][k], b.v[5][k]}, {b.v[6][k], b.v[7][k], b.v[8][k]}};
-}
 
 struct Contact {
     Vec3 scp;        // nearest feasible point without the skin: what force is computed from
@@ -71,6 +67,8 @@ public:
     // Move from the present position toward the HIP as far as the surface lets.
     Contact advance(const Vec3& hip, std::span<const SolverBall> balls, double motion_mm, TickCounters& counters);
 
+    // Lists what is near the present position, see Candidates::gather.
+    double gather(double reach, std::span<const SolverBall> balls, TickCounters& counters);
     Candidates& candidates() { return candidates_; }
     // Lower bound of the distance to the surface, 0 in contact: what the distance policy switches by.
     [[nodiscard]] double free_distance() const { return free_distance_; }
@@ -87,8 +85,13 @@ private:
     };
 
     [[nodiscard]] double wanted_reach(double motion_mm) const;
-    double gather(double reach, std::span<const SolverBall> balls, TickCounters& counters);
     void renew(std::uint32_t block, TickCounters& counters);
+    // From where the block was evaluated to where its ball is with the reference point at `local`.
+    [[nodiscard]] std::array<float, 3> move_since(std::uint32_t i, const Vec3& local, const SolverBall& ball) const {
+        const Vec3 move = (candidates_.centre() - load3(candidates_.evaluation(i).origin)) + local + ball.offset;
+        return {static_cast<float>(move.x), static_cast<float>(move.y), static_cast<float>(move.z)};
+    }
+    [[nodiscard]] double granted_here(std::uint32_t i, const SolverBall& ball);
     void collect_touching(std::span<const SolverBall> balls, TickCounters& counters);
     [[nodiscard]] double sweep(const Vec3& step, std::span<const SolverBall> balls, TickCounters& counters);
     [[nodiscard]] bool still_planes(const Contact& contact);
@@ -103,7 +106,11 @@ private:
     double free_distance_ = 0.0;
     double path_ = 0.0;  // length moved since the gather, turns included
     std::uint32_t stamp_ =
-        Candidates::kPlaced;  // names the present local_: what carries it need not be evaluated again
+        Candidates::kListed;  // names the present local_: what carries it need not be evaluated again
+
+    void next_stamp() {
+        if (++stamp_ == Candidates::kListed) ++stamp_;
+    }
     PlaneSet planes_;
     std::vector<Touch> touches_;
 };

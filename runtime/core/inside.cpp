@@ -35,12 +35,13 @@ Vec3 weighted_normal(const Triangle& t, const ClosestPoint& c, double same2) {
 // Least clearance over all candidates at x, in double.
 double least_clearance(Candidates& candidates, const Vec3& x, std::span<const SolverBall> balls) {
     double least = 1e300;
-    for (std::uint32_t i = 0; i < candidates.block_count(); ++i)
+    for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
+        if (candidates.key(i) > least) continue;
         for (std::uint32_t k = 0; k < 8; ++k) {
-            const ItemBlock& b = candidates.block(i);
-            const double d2 = closest_on_triangle(x - candidates.centre(), item_triangle(b, k)).distance2;
-            least = std::min(least, std::sqrt(d2) - balls[b.ball[k]].kept);
+            const double d2 = closest_on_triangle(x - candidates.centre(), candidates.triangle(i, k)).distance2;
+            least = std::min(least, std::sqrt(d2) - balls[candidates.ball(i)].kept);
         }
+    }
     return least;
 }
 
@@ -69,26 +70,27 @@ SurfaceSide surface_side(ContactSolver& solver, std::span<const SolverBall> ball
     std::array<std::uint32_t, kMostAround> counted;
     std::size_t around = 0;
     for (double c = std::min(solver.cell_mm(), bound_mm);; c = std::min(1.4 * c, bound_mm)) {
-        const double granted = candidates.gather(x, c, balls, counters);
+        const double granted = solver.gather(c, balls, counters);
         double least = 1e300;
         for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
-            const ItemBlock& b = candidates.block(i);
+            if (candidates.key(i) > least + same) continue;
             counters.tests += 8;
+            const std::uint32_t touched = candidates.ball(i);
             for (std::uint32_t k = 0; k < 8; ++k) {
-                const ClosestPoint p = closest_on_triangle({}, item_triangle(b, k));
-                const SolverBall& ball = balls[b.ball[k]];
+                const ClosestPoint p = closest_on_triangle({}, candidates.triangle(i, k));
+                const SolverBall& ball = balls[touched];
                 const double clearance = std::sqrt(p.distance2) - ball.kept;
                 if (clearance > least + same) continue;
                 if (clearance < least - same) {
-                    side = {true, std::sqrt(p.distance2), p.point + ball.offset + x, {}, b.ball[k]};
+                    side = {true, std::sqrt(p.distance2), p.point + ball.offset + x, {}, touched};
                     around = 0;
                 }
                 // Each triangle counts once, though candidates may repeat it.
                 const auto last = counted.begin() + static_cast<std::ptrdiff_t>(around);
-                if (b.ball[k] == side.ball && around < kMostAround &&
-                    std::find(counted.begin(), last, b.triangle[k]) == last) {
-                    counted[around++] = b.triangle[k];
-                    side.normal += weighted_normal(item_triangle(b, k), p, same * same);
+                if (touched == side.ball && around < kMostAround &&
+                    std::find(counted.begin(), last, candidates.triangle_id(i, k)) == last) {
+                    counted[around++] = candidates.triangle_id(i, k);
+                    side.normal += weighted_normal(candidates.triangle(i, k), p, same * same);
                 }
                 least = std::min(least, clearance);
             }
@@ -128,7 +130,7 @@ bool push_out(ContactSolver& solver, std::span<const SolverBall> balls, double b
             x = start + least.y;
         }
         solver.place(x);
-        solver.candidates().gather(x, 4.0 * skin, balls, counters);
+        solver.gather(4.0 * skin, balls, counters);
         const double clearance = least_clearance(solver.candidates(), x, balls);
         solver.candidates().invalidate();
         if (norm(x - start) > bound_mm + kept) break;

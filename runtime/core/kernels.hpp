@@ -7,19 +7,14 @@
 
 namespace hapticlod {
 
-// Eight candidate triangles in the solver's frame, each inflated by the radius of the ball it was gathered for.
-struct alignas(64) ItemBlock {
-    float v[9][8];
-    float radius[8];
-    std::uint32_t triangle[8];
-    std::uint32_t ball[8];
-};
-
-// What eval() says of eight items seen from one point: supporting plane n.y >= offset, and clearance d - radius.
+// What eval() says of a block's triangles seen from one place of a ball's centre, the origin: unit normals n away from
+// the closest points, and clearances c = d - kept. While n.(y - origin) + c >= 0 the ball at y is clear of the
+// triangle.
 struct alignas(32) EvalBlock {
     float nx[8], ny[8], nz[8];
-    float offset[8];
     float clearance[8];
+    double origin[3];
+    double unused;
 };
 
 // Up to eight balls of a tool, relative to a common point. `active` lanes are asked about.
@@ -37,17 +32,17 @@ struct alignas(32) BlockBound {
 
 struct Kernels {
     const char* name;
-    // A stored block as items of one ball, relative to (shift + residual). shift is the float nearest to the ball's
-    // centre, residual what it leaves.
-    void (*place)(const TriBlock& block, const float shift[3], const float residual[3], float radius, ItemBlock& out);
-    // Separating planes and clearances from p; returns the least clearance.
-    float (*eval)(const ItemBlock& block, const float p[3], EvalBlock& out);
+    // Separating planes and clearances of a ball at shift + residual (the float nearest to its centre, and what that
+    // leaves); returns the least clearance. Leaves the origin alone.
+    float (*eval)(const TriBlock& block, const float shift[3], const float residual[3], float kept, EvalBlock& out);
     // Lower bounds of the clearance between each block and each ball: low[8 * block + lane]; bits[block] has a bit per
     // lane in `active` with a bound of at most `reach`. `least` (8) falls to the least bound beyond the reach.
     void (*near)(const BlockBound* bounds, std::uint32_t count, const BallPack& balls, const float centre[3],
                  std::uint32_t active, float reach, float* least, float* low, std::uint32_t* bits);
-    // Bit k: the plane of lane k does not keep y away, n.y - offset < margin.
-    std::uint32_t (*crossed)(const EvalBlock& block, const float y[3], float margin);
+    // After the move (from the origin): the least clearance that the planes grant.
+    float (*granted)(const EvalBlock& block, const float move[3]);
+    // Bit k: after the move (from the origin) the plane of lane k does not keep the ball away by the margin.
+    std::uint32_t (*crossed)(const EvalBlock& block, const float move[3], float margin);
 };
 
 [[nodiscard]] const Kernels& scalar_kernels() noexcept;

@@ -36,16 +36,19 @@ struct V8 {
 // r = q - t e: from the nearest point of the segment to the query.
 #define RESIDUAL(r, q, t, e) r.x = (q).x - (t) * (e).x, r.y = (q).y - (t) * (e).y, r.z = (q).z - (t) * (e).z
 
-// Vector from the closest point of each triangle to the query point, and its squared length.
-HAPTICLOD_INLINE void residual(const float (*v)[8], const float p[3], V8& best, F8& best2) {
+// Vector from the closest point of each triangle to the place (shift + residual), and its squared length.
+HAPTICLOD_INLINE void nearest(const float (*v)[8], const float shift[3], const float residual[3], V8& best, F8& best2) {
     const F8 zero = {0, 0, 0, 0, 0, 0, 0, 0};
     const F8 one = zero + 1.0f;
-    V8 a, b, c, q{zero + p[0], zero + p[1], zero + p[2]};
-    load(v[0], a.x), load(v[1], a.y), load(v[2], a.z);
-    load(v[3], b.x), load(v[4], b.y), load(v[5], b.z);
-    load(v[6], c.x), load(v[7], c.y), load(v[8], c.z);
+    V8 a, b, c;
+    F8 row;
+#define CORNER(to, k) load(v[k], row), to = (row - shift[(k) % 3]) - residual[(k) % 3]
+    CORNER(a.x, 0), CORNER(a.y, 1), CORNER(a.z, 2);
+    CORNER(b.x, 3), CORNER(b.y, 4), CORNER(b.z, 5);
+    CORNER(c.x, 6), CORNER(c.y, 7), CORNER(c.z, 8);
+#undef CORNER
     V8 ab, ac, bc, ap, bp, n;
-    V8_SUB(ab, b, a), V8_SUB(ac, c, a), V8_SUB(bc, c, b), V8_SUB(ap, q, a), V8_SUB(bp, q, b);
+    V8_SUB(ab, b, a), V8_SUB(ac, c, a), V8_SUB(bc, c, b), ap.x = -a.x, ap.y = -a.y, ap.z = -a.z, bp.x = -b.x, bp.y = -b.y, bp.z = -b.z;
     V8_CROSS(n, ab, ac);
     F8 t;
     V8 r;
@@ -96,51 +99,51 @@ HAPTICLOD_INLINE void root(const F8& v, F8& out) {
     for (int k = 0; k < 8; ++k) out[k] = __builtin_sqrtf(v[k]);
 }
 
-}  // namespace
-
-float eval(const ItemBlock& block, const float p[3], EvalBlock& out) {
-    V8 r;
-    F8 r2, radius;
-    residual(block.v, p, r, r2);
-    load(block.radius, radius);
-    const F8 zero = {0, 0, 0, 0, 0, 0, 0, 0};
-    F8 d;
-    root(r2, d);
-    const F8 inverse = 1.0f / SELECT(d > zero, d, zero + 1.0f);
-    const V8 n{r.x * inverse, r.y * inverse, r.z * inverse};
-    // n.c + radius with c = p - r: n.c = n.p - d.
-    store(out.nx, n.x), store(out.ny, n.y), store(out.nz, n.z);
-    store(out.offset, n.x * p[0] + n.y * p[1] + n.z * p[2] - d + radius);
-    store(out.clearance, d - radius);
-    float least = out.clearance[0];
-    for (int k = 1; k < 8; ++k) least = out.clearance[k] < least ? out.clearance[k] : least;
+HAPTICLOD_INLINE float least_of(const F8& v) {
+    float least = v[0];
+    for (int k = 1; k < 8; ++k) least = v[k] < least ? v[k] : least;
     return least;
 }
 
-void place(const TriBlock& block, const float shift[3], const float residual[3], float radius, ItemBlock& out) {
-    for (int row = 0; row < 9; ++row) {
-        F8 v;
-        load(block.v[row], v);
-        store(out.v[row], (v - shift[row % 3]) - residual[row % 3]);
-    }
-    for (int k = 0; k < 8; ++k) {
-        out.radius[k] = radius;
-        out.triangle[k] = block.id[k] == kNoNeighbour ? block.id[0] : block.id[k];
-    }
+HAPTICLOD_INLINE void planes_at(const EvalBlock& block, const float move[3], F8& out) {
+    V8 n;
+    F8 clearance;
+    load(block.nx, n.x), load(block.ny, n.y), load(block.nz, n.z), load(block.clearance, clearance);
+    out = n.x * move[0] + n.y * move[1] + n.z * move[2] + clearance;
 }
 
-std::uint32_t crossed(const EvalBlock& block, const float y[3], float margin) {
-    V8 n;
-    F8 offset;
-    load(block.nx, n.x), load(block.ny, n.y), load(block.nz, n.z), load(block.offset, offset);
-    return bits_of((n.x * y[0] + n.y * y[1] + n.z * y[2] - offset) < margin);
+}  // namespace
+
+float eval(const TriBlock& block, const float shift[3], const float residual[3], float kept, EvalBlock& out) {
+    V8 r;
+    F8 r2, d;
+    nearest(block.v, shift, residual, r, r2);
+    const F8 zero = {0, 0, 0, 0, 0, 0, 0, 0};
+    root(r2, d);
+    const F8 inverse = 1.0f / SELECT(d > zero, d, zero + 1.0f);
+    store(out.nx, r.x * inverse), store(out.ny, r.y * inverse), store(out.nz, r.z * inverse);
+    d -= kept;
+    store(out.clearance, d);
+    return least_of(d);
+}
+
+float granted(const EvalBlock& block, const float move[3]) {
+    F8 at;
+    planes_at(block, move, at);
+    return least_of(at);
+}
+
+std::uint32_t crossed(const EvalBlock& block, const float move[3], float margin) {
+    F8 at;
+    planes_at(block, move, at);
+    return bits_of(at < margin);
 }
 
 void near(const BlockBound* bounds, std::uint32_t count, const BallPack& balls, const float centre[3],
           std::uint32_t active, float reach, float* least, float* low, std::uint32_t* bits) {
     V8 at;
-    F8 kept, nearest;
-    load(balls.x, at.x), load(balls.y, at.y), load(balls.z, at.z), load(balls.kept, kept), load(least, nearest);
+    F8 kept, beyond;
+    load(balls.x, at.x), load(balls.y, at.y), load(balls.z, at.z), load(balls.kept, kept), load(least, beyond);
     for (std::uint32_t b = 0; b < count; ++b) {
         const BlockBound& block = bounds[b];
         V8 r;
@@ -153,10 +156,10 @@ void near(const BlockBound* bounds, std::uint32_t count, const BallPack& balls, 
         d = SELECT(d > h, d, h) - kept;
         const I8 within = d <= reach;
         bits[b] = bits_of(within) & active;
-        nearest = SELECT(~within & (d < nearest), d, nearest);
+        beyond = SELECT(~within & (d < beyond), d, beyond);
         store(low + 8 * b, d);
     }
-    store(least, nearest);
+    store(least, beyond);
 }
 
 }  // namespace hapticlod::HAPTICLOD_KERNEL_SPACE

@@ -11,7 +11,7 @@ extern const Kernels kTable;
 }
 
 const Kernels& scalar_kernels() noexcept {
-    static constexpr Kernels table{"baseline", baseline::place, baseline::eval, baseline::near, baseline::crossed};
+    static constexpr Kernels table{"baseline", baseline::eval, baseline::near, baseline::granted, baseline::crossed};
     return table;
 }
 

@@ -41,7 +41,7 @@ MappingOutcome Mapper::two_sided(ContactSolver& solver, const ContactMemory& mem
     double c = std::min(std::max(0.25 * solver.cell_mm(), 64.0 * solver.tolerances().skin), longest);
     MappingOutcome outcome = MappingOutcome::miss;
     while (longest > 0.0) {
-        const double granted = candidates.gather(x, c, balls, counters);
+        const double granted = solver.gather(c, balls, counters);
         if (granted < c) {
             counters.errors |= kErrCandidates;
             if (granted <= 0.0) break;
@@ -49,11 +49,11 @@ MappingOutcome Mapper::two_sided(ContactSolver& solver, const ContactMemory& mem
         const double within = std::min(c, granted);
         std::size_t count = 0;
         for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
-            const ItemBlock& b = candidates.block(i);
+            if (candidates.passes_by(i, n * -within, n * (2.0 * within), 0.0)) continue;
             counters.tests += 8;
             for (std::uint32_t k = 0; k < 8; ++k) {
-                const Interval v =
-                    blocked(item_triangle(b, k), {}, n, within, balls[b.ball[k]].kept, precision, memory.side);
+                const Interval v = blocked(candidates.triangle(i, k), {}, n, within, balls[candidates.ball(i)].kept,
+                                           precision, memory.side);
                 if (v.from <= v.to) intervals_[count++] = v;
             }
         }

@@ -24,8 +24,6 @@ void Occupancy::build(const LevelView& level) {
     }
 }
 
-namespace {
-
 BlockBound bound_of(const TriBlock& block) {
     float lo[3], hi[3];
     for (int k = 0; k < 3; ++k) {
@@ -41,8 +39,7 @@ BlockBound bound_of(const TriBlock& block) {
         float u[3], v[3];
         for (int k = 0; k < 3; ++k)
             u[k] = block.v[3 + k][lane] - block.v[k][lane], v[k] = block.v[6 + k][lane] - block.v[k][lane];
-        for (int k = 0; k < 3; ++k)
-            sum[k] += u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3];
+        for (int k = 0; k < 3; ++k) sum[k] += u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3];
     }
     const float length = std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
     const bool directed = length > 0.0f && std::isfinite(length);
@@ -62,8 +59,6 @@ BlockBound bound_of(const TriBlock& block) {
     b.half += b.radius * 1e-6f + size * 1e-6f;
     return b;
 }
-
-}  // namespace
 
 ActiveLevel::ActiveLevel(const LevelView& level) : view(level) {
     occupancy.build(level);

@@ -55,13 +55,14 @@ private:
     int shift_ = 0;
 };
 
+[[nodiscard]] BlockBound bound_of(const TriBlock& block);
 
 // A level as the tick uses it: the stored arrays, and what is cheap enough to make anew when it is loaded.
 struct ActiveLevel {
     LevelView view;
     Occupancy occupancy;
     std::vector<BlockBound> bounds;  // one per block
-    bool closed = false;          // no open border: what is behind the surface is inside
+    bool closed = false;             // no open border: what is behind the surface is inside
 
     explicit ActiveLevel(const LevelView& level);
     [[nodiscard]] std::size_t bytes() const { return occupancy.bytes() + bounds.size() * sizeof(BlockBound); }

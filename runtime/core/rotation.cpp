@@ -29,7 +29,7 @@ bool ContactSolver::make_way(std::span<const SolverBall> balls, std::span<const 
         if (gather(needed + longest + wanted_reach(motion_mm), balls, counters) < needed) return false;
     }
     local_ = x_ - candidates_.centre();
-    ++stamp_;
+    next_stamp();
     // Unknown: the translation s of the reference point. A ball's chord is then its own turn plus s.
     PlaneSet planes;
     Vec3 shift;
@@ -38,15 +38,25 @@ bool ContactSolver::make_way(std::span<const SolverBall> balls, std::span<const 
         const double shifted = norm(shift), most = longest + shifted + skin;
         for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
             if (candidates_.key(i) - path_ > most) continue;
-            if (candidates_.stamp(i) != stamp_) renew(i, counters);
-            const ItemBlock& b = candidates_.block(i);
+            if (candidates_.stamp(i) != stamp_) {
+                const SolverBall& ball = balls[candidates_.ball(i)];
+                if (candidates_.evaluated(i)) {
+                    const double here = granted_here(i, ball);
+                    const Vec3 to = local_ + offsets[candidates_.ball(i)] - ball.offset + shift;
+                    if (here > most || (here > skin && kernels_->granted(candidates_.evaluation(i),
+                                                                         move_since(i, to, ball).data()) > float(skin)))
+                        continue;
+                }
+                renew(i, counters);
+            }
             const EvalBlock& e = candidates_.evaluation(i);
-            const SolverBall& ball = balls[b.ball[0]];
-            const Vec3 turned = offsets[b.ball[0]] - ball.offset, chord = turned + shift;
+            const std::uint32_t which = candidates_.ball(i);
+            const SolverBall& ball = balls[which];
+            const Vec3 turned = offsets[which] - ball.offset, chord = turned + shift;
             const double within = norm(chord) + skin;
             for (std::uint32_t k = 0; k < 8; ++k) {
                 if (double{e.clearance[k]} > within) continue;
-                const Triangle t = item_triangle(b, k);
+                const Triangle t = candidates_.triangle(i, k);
                 const double at = time_of_touch(t, local_, chord, ball.kept - 0.1 * skin, 0.02 * skin);
                 if (at > 1.0) continue;
                 const Vec3 p = local_ + chord * at;
@@ -54,8 +64,14 @@ bool ContactSolver::make_way(std::span<const SolverBall> balls, std::span<const 
                 const double d = std::sqrt(c.distance2);
                 if (!(d > 0.0)) continue;
                 const Vec3 n = (p - c.point) * (1.0 / d);
-                const ContactPlane plane{n, dot(n, c.point - local_) + ball.kept - dot(n, turned), c.point, 0.0,
-                                         b.triangle[k], b.ball[k], i, k};
+                const ContactPlane plane{n,
+                                         dot(n, c.point - local_) + ball.kept - dot(n, turned),
+                                         c.point,
+                                         0.0,
+                                         candidates_.triangle_id(i, k),
+                                         which,
+                                         i,
+                                         k};
                 if (already_there(planes, plane, 0.01 * skin)) continue;
                 if (planes.count == kMaxPlanes) return false;
                 planes.planes[planes.count++] = plane;

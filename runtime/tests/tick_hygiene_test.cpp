@@ -18,7 +18,9 @@
 #endif
 
 #include "core/kernels.hpp"
+#include "core/occupancy.hpp"
 #include "core/renderer.hpp"
+#include "core/triangle.hpp"
 
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
 #define HAPTICLOD_SANITIZED 1
@@ -311,26 +313,68 @@ TEST(Kernels, ScalarAndAvx2AreEqualBitForBit) {
     std::normal_distribution<float> normal;
     for (int round = 0; round < 20'000; ++round) {
         const TriBlock block = random_block(random);
-        float shift[3], residual[3], p[3], y[3];
+        float shift[3], residual[3], move[3];
         for (int k = 0; k < 3; ++k) {
             shift[k] = round % 5 == 0 ? block.v[k][0] : normal(random);
             residual[k] = 1e-8f * normal(random);
-            p[k] = round % 3 == 0 ? 0.0f : normal(random);
-            y[k] = p[k] + 0.1f * normal(random);
+            move[k] = 0.1f * normal(random);
         }
-        ItemBlock items[2]{};
-        EvalBlock said[2];
-        scalar.place(block, shift, residual, 0.5f, items[0]);
-        best.place(block, shift, residual, 0.5f, items[1]);
-        ASSERT_EQ(std::memcmp(&items[0], &items[1], sizeof items[0]), 0) << "place, round " << round;
-        const float least[2] = {scalar.eval(items[0], p, said[0]), best.eval(items[1], p, said[1])};
+        EvalBlock said[2]{};
+        const float least[2] = {scalar.eval(block, shift, residual, 0.5f, said[0]),
+                                best.eval(block, shift, residual, 0.5f, said[1])};
         ASSERT_EQ(std::memcmp(&said[0], &said[1], sizeof said[0]), 0) << "eval, round " << round;
         ASSERT_EQ(std::memcmp(&least[0], &least[1], sizeof least[0]), 0) << "least, round " << round;
         ASSERT_TRUE(std::isfinite(least[0]));
         for (const float margin : {-0.1f, 0.0f, 0.3f})
-            ASSERT_EQ(scalar.crossed(said[0], y, margin), best.crossed(said[1], y, margin))
+            ASSERT_EQ(scalar.crossed(said[0], move, margin), best.crossed(said[1], move, margin))
                 << "crossed, round " << round;
+        ASSERT_EQ(scalar.granted(said[0], move), best.granted(said[1], move)) << "granted, round " << round;
     }
+}
+
+TEST(Kernels, BlockBoundsAreLowerBounds) {
+    // Against the exact distances of the triangles, for eight balls at a time, by both builds.
+    std::mt19937_64 random(3);
+    std::normal_distribution<float> normal;
+    double tightest = 1e300;
+    for (int round = 0; round < 5'000; ++round) {
+        const TriBlock block = random_block(random);
+        const BlockBound bound = bound_of(block);
+        BallPack balls;
+        const float centre[3] = {normal(random), normal(random), normal(random)};
+        for (int k = 0; k < 8; ++k) {
+            balls.x[k] = normal(random), balls.y[k] = normal(random), balls.z[k] = normal(random);
+            balls.kept[k] = 0.1f * static_cast<float>(k);
+        }
+        const float reach = std::abs(normal(random)), most = std::numeric_limits<float>::max();
+        const std::uint32_t active = static_cast<std::uint32_t>(random()) & 0xffu;
+        float least[2][8], low[2][8];
+        std::uint32_t bits[2];
+        for (int build = 0; build < 2; ++build) {
+            std::fill_n(least[build], 8, most);
+            (build == 0 ? scalar_kernels() : best_kernels())
+                .near(&bound, 1, balls, centre, active, reach, least[build], low[build], &bits[build]);
+        }
+        ASSERT_EQ(std::memcmp(low[0], low[1], sizeof low[0]), 0);
+        ASSERT_EQ(std::memcmp(least[0], least[1], sizeof least[0]), 0);
+        ASSERT_EQ(bits[0], bits[1]);
+        for (int k = 0; k < 8; ++k) {
+            const Vec3 at = Vec3{centre[0], centre[1], centre[2]} + Vec3{balls.x[k], balls.y[k], balls.z[k]};
+            double exact = 1e300, size = norm(at);
+            for (int t = 0; t < 8; ++t) {
+                const auto& v = block.v;
+                const Triangle triangle{
+                    {v[0][t], v[1][t], v[2][t]}, {v[3][t], v[4][t], v[5][t]}, {v[6][t], v[7][t], v[8][t]}};
+                size = std::max({size, norm(triangle.a), norm(triangle.b), norm(triangle.c)});
+                exact = std::min(exact, std::sqrt(closest_on_triangle(at, triangle).distance2));
+            }
+            ASSERT_LE(low[0][k], exact - balls.kept[k] + 3e-6 * size) << "round " << round;
+            tightest = std::min(tightest, (exact - balls.kept[k] - low[0][k]) / size);
+            EXPECT_EQ(bits[0] >> k & 1u, (active >> k & 1u) != 0 && low[0][k] <= reach ? 1u : 0u);
+            EXPECT_EQ(least[0][k], low[0][k] > reach ? low[0][k] : most);
+        }
+    }
+    EXPECT_LT(tightest, 0.05);  // and they say something
 }
 
 TEST(Kernels, ClearanceIsTheDistance) {
@@ -341,10 +385,8 @@ TEST(Kernels, ClearanceIsTheDistance) {
     for (int round = 0; round < 40; ++round) {
         const TriBlock block = random_block(random);
         const float zero[3] = {0, 0, 0}, p[3] = {normal(random), normal(random), normal(random)};
-        ItemBlock items{};
-        EvalBlock said;
-        best.place(block, zero, zero, 0.0f, items);
-        best.eval(items, p, said);
+        EvalBlock said{};
+        best.eval(block, p, zero, 0.0f, said);
         for (int k = 0; k < 8; ++k) {
             double nearest = 1e300, extent = 0.0;
             constexpr int n = 100;
