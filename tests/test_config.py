@@ -136,7 +136,7 @@ def test_runtime_form_holds_every_parameter_in_the_runtimes_units() -> None:
         "damping_n_s_mm": 0.001, "friction_static": 0.3, "friction_dynamic": 0.2, "filter_hz": 30.0,
         "hysteresis": 0.1, "dwell_s": 0.02, "l_in_mm": 0.5, "l_out_mm": 0.7, "closest_bound_mm": 0.7,
         "blend_s": 0.015, "max_force_n": 12.0, "max_slew_n_s": 900.0, "engage_s": 0.04, "crack_mm": 0.01,
-        "reserved": [0.0] * 8, "speeds_mm_s": [30.0, 120.0, 0, 0, 0, 0, 0, 0],
+        "work_limit": 50.0 * 150.0, "reserved": [0.0] * 7, "speeds_mm_s": [30.0, 120.0, 0, 0, 0, 0, 0, 0],
         "cell_mm": [1.0, 2.0, 4.0, 0, 0, 0, 0, 0], "triangles": [900, 300, 100, 0, 0, 0, 0, 0],
         "balls": [1, 1, 1, 0, 0, 0, 0, 0],
     }  # fmt: skip

@@ -36,6 +36,7 @@ _RANGES: Final = {
     "max_slew_n_s": (0.0, 1e9),
     "engage_s": (0.0, 60.0),
     "crack_mm": (0.0, 1e3),
+    "work_limit": (0.0, 1e12),
 }
 _BLOCKS_AT_ONCE: Final = 1 << 16  # bounds the memory that comparing blocks with the mesh takes
 

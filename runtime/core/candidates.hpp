@@ -20,6 +20,9 @@ namespace hapticlod {
 struct TickCounters {
     std::uint32_t cells = 0, triangles = 0, tests = 0, iterations = 0, balls = 0, mapping_cells = 0;
     std::uint32_t errors = 0;
+
+    // What was done so far, in triangle distances.
+    [[nodiscard]] double work() const { return tests + 0.25 * triangles + 0.5 * cells; }
 };
 
 class Candidates {

@@ -42,7 +42,8 @@ std::string check_config(const ConfigData& c) {
                   {"max_force_n", c.max_force_n, 0.0, 1e6},
                   {"max_slew_n_s", c.max_slew_n_s, 0.0, 1e9},
                   {"engage_s", c.engage_s, 0.0, 60.0},
-                  {"crack_mm", c.crack_mm, 0.0, 1e3}};
+                  {"crack_mm", c.crack_mm, 0.0, 1e3},
+                  {"work_limit", c.work_limit, 0.0, 1e12}};
     for (const auto& f : fields)
         if (std::string fault = number_fault(f.name, f.value, f.least, f.most); !fault.empty()) return fault;
     for (std::uint32_t i = 0; i < c.level_count; ++i) {

@@ -61,6 +61,7 @@ void ContactSolver::bind(const ActiveLevel& level, const Kernels& kernels, const
     mean_edge_mm_ = double{level.view.hash->mean_edge_mm};
     cell_mm_ = level.view.hash->cell_mm;
     candidates_.bind(level, kernels);
+    touched_ = false;
 }
 
 // Evaluates a block from where the tool is now. An older evaluation still bounds it: a plane
@@ -195,6 +196,8 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
     Slide slide;
     Vec3 last = x_, before_last = x_;
     for (int k = 0; k < kMaxIterations; ++k) {
+        // Out of time: what was reached is safe, and the next tick goes on from there.
+        if (k > 0 && counters.work() > work_limit_) break;
         ++counters.iterations;
         next_stamp();
         const double settled = tolerances_.settled * std::min(std::exp2(std::max(k - kPatience, 0)), 100.0);
@@ -202,8 +205,10 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         if (!candidates_.valid() || norm(x_ - candidates_.centre()) > 0.75 * (candidates_.reach() - slack)) {
             const double granted = gather(wanted, balls, counters);
             if (granted < wanted) counters.errors |= kErrCandidates;
-            wanted = std::min(2.0 * wanted, 64.0 * cell_mm_);  // a long way to go needs longer steps
-            out.active = 0;                                    // planes of the last step are in the old frame
+            // A long way to go needs longer steps, unless so much lies around that they cost more than they save.
+            if (candidates_.block_count() < Candidates::kMaxBlocks / 16)
+                wanted = std::min(2.0 * wanted, 64.0 * cell_mm_);
+            out.active = 0;  // planes of the last step are in the old frame
             if (granted <= 2.0 * slack) {
                 counters.errors |= kErrNotConverged;
                 out.scp = x_;
@@ -275,6 +280,13 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         counters.errors |= kErrNotConverged;
         out.scp = x_;
         for (int i = 0; i < out.active; ++i) out.planes[i].point += centre;
+        // On its way from one contact to the next: the force stays, along what is left of the way.
+        if (const Vec3 left = x_ - hip; out.active == 0 && touched_ && norm(left) > tolerances_.settled) {
+            out.active = 1;
+            out.planes[0] = last_touch_;
+            out.multiplier[0] = norm(left);
+            out.planes[0].normal = left * (1.0 / out.multiplier[0]);
+        }
         return out;
     }
     free_distance_ = planes_.count > 0 ? 0.0 : candidates_.clearance_bound(x_, path_);
@@ -293,6 +305,8 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         out.planes[i].point += centre;
         out.multiplier[i] = final.multiplier[i];
     }
+    touched_ = final.active > 0;
+    if (touched_) last_touch_ = out.planes[0];
     return out;
 }
 

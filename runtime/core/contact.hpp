@@ -6,6 +6,7 @@
 // met. Repeated until y = x. Every step is collision-free and shortens the distance to the HIP.
 #pragma once
 #include <array>
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -48,6 +49,9 @@ public:
     }
     void bind(const ActiveLevel& level, const Kernels& kernels, const Tolerances& tolerances);
 
+    // A tick that has done so much work is cut short: its SCP is safe but not final. Infinite: never.
+    void limit_work(double limit) { work_limit_ = limit; }
+
     // Place the reference point without sweeping (free space, or a mapped contact).
     void place(const Vec3& x) {
         path_ += norm(x - x_);
@@ -57,6 +61,10 @@ public:
     // along its chord without passing through the surface. False: that cannot be had now, and nothing was moved.
     bool make_way(std::span<const SolverBall> balls, std::span<const Vec3> offsets, double motion_mm,
                   TickCounters& counters);
+    // Lower bound of the distance to the surface where the tool is.
+    [[nodiscard]] double clearance() const {
+        return candidates_.valid() ? candidates_.clearance_bound(x_, path_) : 0.0;
+    }
     // The balls were turned, none by more than this.
     void rotated(double distance) {
         path_ += distance;
@@ -103,6 +111,7 @@ private:
     double mean_edge_mm_ = 0.0, cell_mm_ = 0.0;
     Vec3 x_;
     Vec3 local_;  // x relative to the candidates' centre, at the last evaluation
+    double work_limit_ = std::numeric_limits<double>::infinity();
     double free_distance_ = 0.0;
     double path_ = 0.0;  // length moved since the gather, turns included
     std::uint32_t stamp_ =
@@ -112,6 +121,8 @@ private:
         if (++stamp_ == Candidates::kListed) ++stamp_;
     }
     PlaneSet planes_;
+    ContactPlane last_touch_;
+    bool touched_ = false;
     std::vector<Touch> touches_;
 };
 

@@ -40,7 +40,8 @@ struct ConfigData {
     double max_slew_n_s;             // 0: no slew limit
     double engage_s;                 // soft engagement after a start in overlap
     double crack_mm;                 // gaps up to this width hold a tool of radius 0
-    double reserved[8];              // 0
+    double work_limit;               // of a tick, see TickCounters::work(): then it is cut short; 0: none
+    double reserved[7];              // 0
     double speeds_mm_s[kMaxLevels];  // V_i between level i and i+1; level_count - 1 used
     double cell_mm[kMaxLevels];      // voxel edge
     std::uint32_t triangles[kMaxLevels];
@@ -67,7 +68,7 @@ enum TickError : std::uint32_t {
     kErrSlewLimited = 1u << 7,     // slew limit reached
     kErrForceNotFinite = 1u << 8,  // force was not finite: 0 sent
     kErrStartInside = 1u << 9,     // started in overlap: engaged softly
-    kErrTurnHeld = 1u << 10,       // a rotation would have passed through the surface: orientation held
+    kErrTurnHeld = 1u << 10,       // a rotation was too large for one tick or barred by the surface: the rest follows
 };
 
 // What one tick gave. Also the golden record of a bundle and the telemetry row.

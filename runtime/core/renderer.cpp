@@ -36,8 +36,9 @@ struct Renderer::State {
 
     bool started = false;
     double time_s = 0.0;
-    Vec3 hip;                                // relative to the origin
-    double asked[4] = {1.0, 0.0, 0.0, 0.0};  // orientation of the last pose
+    Vec3 hip;                                 // relative to the origin
+    double asked[4] = {1.0, 0.0, 0.0, 0.0};   // orientation of the last pose
+    double facing[4] = {1.0, 0.0, 0.0, 0.0};  // and of the tool: a turn that is too large or barred comes later
     Contact contact;
     ContactMemory memory;
 
@@ -47,7 +48,7 @@ struct Renderer::State {
     void forget();
     double accept_pose(const Pose& pose, double time_s, TickCounters& counters);
     void turn(const double q[4]);
-    bool turn_in_contact(const double q[4], double motion_mm, TickCounters& counters);
+    void turn_as_asked(double motion_mm, TickCounters& counters);
     void start(TickCounters& counters);
     MappingOutcome switch_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
     MappingOutcome change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
@@ -89,6 +90,7 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
     s.turned.resize(s.balls.size());
     s.tree.build(s.tool_centres, s.balls);
     s.solver.allocate(s.tree, s.balls.size());
+    s.solver.limit_work(config.work_limit > 0.0 ? config.work_limit : std::numeric_limits<double>::infinity());
     s.mapper.allocate();
     s.forget();
     return {};
@@ -118,23 +120,40 @@ std::size_t Renderer::scratch_bytes() const noexcept {
 
 // Rotates the tool about its reference point.
 void Renderer::State::turn(const double q[4]) {
-    double moved = 0.0;
+    const Rotation rotation(q);
+    double moved2 = 0.0;
     for (std::size_t i = 0; i < balls.size(); ++i) {
-        const Vec3 to = rotate(q, tool_centres[i]);
-        moved = std::max(moved, norm(to - balls[i].offset));
+        const Vec3 to = rotation * tool_centres[i];
+        moved2 = std::max(moved2, norm2(to - balls[i].offset));
         balls[i].offset = to;
     }
-    tree.turn(q, balls);
-    if (moved > 0.0) solver.rotated(moved);
+    tree.turn(rotation, balls);
+    std::copy(q, q + 4, facing);
+    if (moved2 > 0.0) solver.rotated(std::sqrt(moved2));
 }
 
-// Turns the tool where it is; whatever a ball would pass through moves the tool instead. False: not resolved, held.
-bool Renderer::State::turn_in_contact(const double q[4], double motion_mm, TickCounters& counters) {
-    for (std::size_t i = 0; i < balls.size(); ++i) turned[i] = rotate(q, tool_centres[i]);
+// Turns the tool where it is; whatever a ball would pass through moves the tool instead. A large turn takes several
+// ticks, and one that cannot be resolved now is tried again.
+void Renderer::State::turn_as_asked(double motion_mm, TickCounters& counters) {
     const auto used = tool(level_switch.level());
-    if (!solver.make_way(used, std::span<const Vec3>(turned).first(used.size()), motion_mm, counters)) return false;
-    turn(q);
-    return true;
+    const Rotation whole(asked);
+    double longest2 = 0.0;
+    for (std::size_t i = 0; i < used.size(); ++i)
+        longest2 = std::max(longest2, norm2(whole * tool_centres[i] - used[i].offset));
+    const double longest = std::sqrt(longest2);
+    if (longest == 0.0 || longest < solver.clearance()) return turn(asked);
+    double part = std::min(std::max(solver.mean_edge_mm(), 3.0 * motion_mm) / longest, 1.0);
+    for (int attempt = 0; attempt < 3; ++attempt, part *= 0.25) {
+        double q[4];
+        part_of_turn(facing, asked, part, q);
+        if (part == 1.0) std::copy(asked, asked + 4, q);
+        const Rotation rotation(q);
+        for (std::size_t i = 0; i < used.size(); ++i) turned[i] = rotation * tool_centres[i];
+        if (!solver.make_way(used, std::span<const Vec3>(turned).first(used.size()), motion_mm, counters)) continue;
+        if (part < 1.0) counters.errors |= kErrTurnHeld;
+        return turn(q);
+    }
+    counters.errors |= kErrTurnHeld;
 }
 
 // Takes position, orientation and time where they are valid, and says how long the period was.
@@ -160,15 +179,13 @@ double Renderer::State::accept_pose(const Pose& pose, double now_s, TickCounters
     }
     const double motion_mm = started ? norm(position - hip) : 0.0;
     hip = position;
-    if (!std::equal(q, q + 4, asked)) {
-        const double scale = 1.0 / std::sqrt(length2);
-        const double unit[4] = {q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale};
-        std::copy(q, q + 4, asked);
-        if (!started) {
-            turn(unit);
-        } else if (!turn_in_contact(unit, motion_mm, counters)) {
-            counters.errors |= kErrTurnHeld;
-        }
+    const double scale = 1.0 / std::sqrt(length2);
+    for (int k = 0; k < 4; ++k) asked[k] = std::abs(length2 - 1.0) < 1e-15 ? q[k] : q[k] * scale;
+    if (!std::equal(asked, asked + 4, facing)) {
+        if (!started)
+            turn(asked);
+        else
+            turn_as_asked(motion_mm, counters);
     }
     return dt;
 }

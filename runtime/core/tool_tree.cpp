@@ -66,8 +66,8 @@ void ToolTree::build(std::span<const Vec3> centres, std::span<const SolverBall> 
     }
 }
 
-void ToolTree::turn(const double q[4], std::span<const SolverBall> balls) {
-    for (Node& node : nodes_) node.offset = rotate(q, node.centre);
+void ToolTree::turn(const Rotation& rotation, std::span<const SolverBall> balls) {
+    for (Node& node : nodes_) node.offset = rotation * node.centre;
     pack_up(balls);
 }
 

@@ -30,8 +30,8 @@ public:
     };
 
     void build(std::span<const Vec3> centres, std::span<const SolverBall> balls);
-    // The balls' offsets have turned by q.
-    void turn(const double q[4], std::span<const SolverBall> balls);
+    // The balls' offsets have turned.
+    void turn(const Rotation& rotation, std::span<const SolverBall> balls);
 
     [[nodiscard]] std::span<const Node> nodes() const { return nodes_; }
     [[nodiscard]] std::uint32_t root() const { return static_cast<std::uint32_t>(nodes_.size()) - 1; }
