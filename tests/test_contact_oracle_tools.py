@@ -79,7 +79,7 @@ def test_turned_tools_on_simple_shapes(shape: str, name: str, seed: int, speed_m
     path[0] = path[1] * [1.0, 1.0, 0.0] + [0.0, 0.0, 9.0 + lift]
     hip = shapes.wander(path, speed_mm_s, 40_000)
     near = 3.0 if shape == "groove" else 0.6
-    hip = hip[np.argmax(hip[:, 2] < near + abs(hip[:, 0]).max() * (shape == "groove") + lift) :][:60]
+    hip = hip[np.argmax(hip[:, 2] < near + abs(hip[:, 0]).max() * (shape == "groove") + lift) :][:90]
     result = compare(mesh, tool, turn, hip)
     assert result.touching > 8
     # Several balls in a groove have several resting places.
