@@ -14,7 +14,7 @@ CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
 
-.PHONY: help setup build test test-cpp test-sanitized test-python lint format demo bench clean
+.PHONY: help setup build test test-cpp test-sanitized test-python lint format demo bench bench-quick soak clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -58,8 +58,15 @@ format:  ## reformat Python and C++
 demo: build  ## from nothing to a running station: make a scan, tune it, run it
 	@$(BIN)/python scripts/demo.py
 
-bench: build  ## what a tick costs: sphere, five tools, three speeds
-	@$(BIN)/python benchmarks/contact_table.py
+bench: build  ## what a tick costs on 2.6 M triangles, against goals: some minutes
+	@$(BIN)/python -m benchmarks.contact_table
+
+bench-quick: build  ## the same on 100 k triangles
+	@$(BIN)/python -m benchmarks.contact_table --quick
+
+TICKS ?= 100000000
+soak: build  ## random motions against the invariants of contact: TICKS=1e8, or make soak TICKS=1e6
+	@$(RELEASE)/bench/soak $(TICKS)
 
 clean:  ## remove build products (keeps .venv)
 	@rm -rf build dist hapticlod/_runtime.*

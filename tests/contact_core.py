@@ -29,13 +29,13 @@ def point_or_ball(radius_mm: float) -> np.ndarray:
 class Core:
     """Levels, one tool, one configuration."""
 
-    def __init__(self, meshes: list, balls: np.ndarray, cell_mm: float = 1.0, **fields: Any) -> None:
+    def __init__(self, meshes: list, tool: np.ndarray, cell_mm: float = 1.0, **fields: Any) -> None:
         self.levels = [
             _runtime.Level(np.ascontiguousarray(v, dtype=np.float32), np.ascontiguousarray(f, dtype=np.uint32), cell_mm)
             for v, f in meshes
         ]
         self.config = core_config(len(meshes), **fields)
-        self.renderer = _runtime.Renderer(self.levels, self.config.tobytes(), np.ascontiguousarray(balls, np.float64))
+        self.renderer = _runtime.Renderer(self.levels, self.config.tobytes(), np.ascontiguousarray(tool, np.float64))
 
     def replay(self, hip_mm: np.ndarray, orientation: np.ndarray | None = None) -> np.ndarray:
         """(T,) records of a path at the configuration's rate."""
