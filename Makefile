@@ -14,7 +14,7 @@ CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
 
-.PHONY: help setup build test test-cpp test-sanitized test-python lint format demo bench clean
+.PHONY: help setup build test test-cpp test-sanitized test-python lint format demo bench evaluate-surrogate clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -60,6 +60,9 @@ demo: build  ## from nothing to a running station: make a scan, tune it, run it
 
 bench: build  ## what a tick costs: sphere, five tools, three speeds
 	@$(BIN)/python benchmarks/contact_table.py
+
+evaluate-surrogate: build  ## predictions against measurements: SCAN=file [MOTIONS="a.csv b.csv"] [TOOL=file] [CONFIGS=60] [JSON=out.json]
+	@$(BIN)/python benchmarks/evaluate_surrogate.py $(if $(SCAN),--scan="$(SCAN)") $(if $(MOTIONS),--motions="$(MOTIONS)") $(if $(TOOL),--tool="$(TOOL)") $(if $(STATION),--station="$(STATION)") $(if $(CONFIGS),--configs="$(CONFIGS)") $(if $(SEED),--seed="$(SEED)") $(if $(UNIT),--unit="$(UNIT)") $(if $(JSON),--json="$(JSON)")
 
 clean:  ## remove build products (keeps .venv)
 	@rm -rf build dist hapticlod/_runtime.*

@@ -21,6 +21,8 @@ from hapticlod.surrogate.switching import Switching, affine_scan
 
 # Ticks of a window in one sample each, dearest first: 1, 1, 1, 1, 2, 4, 8, ... until the window is used up.
 SINGLE_TICKS = 4
+# Of the ticks that enter a level, in one sample each, cheapest first.
+SWITCH_SHARES = (0.2, 0.2, 0.2, 0.2, 0.1, 0.05, 0.03, 0.015, 0.005)
 
 
 def group_sizes(ticks: int) -> NDArray[np.int64]:
@@ -77,7 +79,8 @@ class CostModel(eqx.Module):
 
     - `samples`: ln ns, trailing shape (windows, samples), dearest first within a window.
     - `tail_share`: trailing shape as `samples`: 0 where a sample belongs to its rung's body, 1 in its tail.
-    - `switch`: ln ns of ticks that change the level in contact, by the level entered, trailing shape (M,).
+    - `switch`: ln ns of ticks that change the level in contact, by the level entered, trailing shape (M,): one sample
+      for each of `SWITCH_SHARES`.
     - `free_switch`: the same without contact.
     - `cells`: dependence on cell size.
     - `sizes`: (samples,) ticks that a sample stands for.
@@ -139,7 +142,7 @@ def tick_costs(
     for curves, flow in ((model.switch, in_contact), (model.free_switch, free)):
         events = curves.levels(places) + factors[:, 1:]
         parts.append(events.reshape(-1))
-        counts.append(jnp.broadcast_to(flow[:, None] / events.shape[1], events.shape).reshape(-1))
+        counts.append((flow[:, None] * jnp.array(SWITCH_SHARES, dtype=flow.dtype)).reshape(-1))
     return TickCosts(jnp.concatenate(parts), jnp.concatenate(counts)), log_ns, weights
 
 
