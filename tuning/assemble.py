@@ -113,7 +113,7 @@ def _instants(data: LadderData, stiffness_n_mm: float) -> Instants:
         held=jnp.asarray(data.tour.held.astype(np.float64)),
         rough_n=jnp.asarray(data.fields["rough_n"]),
         rough_noticed=jnp.asarray(reference.perception.noticed(data.fields["rough_n"] / jnd)),
-        log_windows=jnp.asarray(np.log1p(np.round(np.array(WINDOWS_S) * clock.loop_hz))),
+        windows=jnp.asarray(np.round(np.array(WINDOWS_S) * clock.loop_hz)),
         force_n=jnp.asarray(reference.force_n[at]),
         step_n=jnp.asarray(reference.step_n[at]),
         contact=jnp.asarray(mean(reference.contact.astype(np.float64))),

@@ -18,8 +18,8 @@ BASE_CELL = 2
 # Subsets of a shaped tool's balls: each a quarter of the one before.
 THINNING = 4.0
 FEWEST_BALLS = 4
-BIN_S = 0.004
-BINS_PER_WINDOW = 8
+BIN_S = 0.008
+BINS_PER_WINDOW = 4
 BINS_PER_INSTANT = 4
 
 
@@ -113,7 +113,7 @@ class Clock:
 
 
 def make_clock(motions: Sequence[Motion]) -> Clock:
-    """Bins of about 4 ms, at least one tick."""
+    """Bins of about 8 ms, at least one tick."""
     loop_hz = motions[0].loop_hz
     per_bin = max(1, round(BIN_S * loop_hz))
     window = per_bin * BINS_PER_WINDOW

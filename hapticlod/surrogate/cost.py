@@ -8,6 +8,8 @@ means of groups: the tail is exact and the arrays stay small.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,7 +18,7 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from hapticlod.surrogate.ladder_curves import LadderCurves, Places, cubic_weights, pchip_slopes
-from hapticlod.surrogate.quantile import smooth_max, smooth_quantile
+from hapticlod.surrogate.quantile import smooth_max, smooth_quantiles
 from hapticlod.surrogate.switching import Switching, affine_scan
 
 # Ticks of a window in one sample each, dearest first: 1, 1, 1, 1, 2, 4, 8, ... until the window is used up.
@@ -105,9 +107,9 @@ class TickCosts(eqx.Module):
     log_ns: Float[Array, " n"]
     weights: Float[Array, " n"]
 
-    def quantile_us(self, probability: float, spread: Float[Array, ""]) -> Float[Array, ""]:
-        """Quantile of the loop cost, us."""
-        return jnp.exp(smooth_quantile(self.log_ns, self.weights, probability, spread)) * 1e-3
+    def quantiles_us(self, probabilities: Sequence[float], spread: Float[Array, ""]) -> Float[Array, " q"]:
+        """Quantiles of the loop cost, us."""
+        return jnp.exp(smooth_quantiles(self.log_ns, self.weights, probabilities, spread)) * 1e-3
 
     def mean_us(self) -> Float[Array, ""]:
         """Mean loop cost, us."""
