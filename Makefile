@@ -14,7 +14,8 @@ CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
 
-.PHONY: help setup build test test-cpp test-sanitized test-python lint format demo bench bench-quick soak clean
+.PHONY: help setup build test test-cpp test-sanitized test-python lint format demo bench bench-quick soak \
+    evaluate-surrogate clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -67,6 +68,9 @@ bench-quick: build  ## the same on 100 k triangles
 TICKS ?= 100000000
 soak: build  ## random motions against the invariants of contact: TICKS=1e8, or make soak TICKS=1e6
 	@$(RELEASE)/bench/soak $(TICKS)
+
+evaluate-surrogate: build  ## predictions against measurements: SCAN=file [MOTIONS="a.csv b.csv"] [TOOL=file] [CONFIGS=60] [JSON=out.json]
+	@$(BIN)/python benchmarks/evaluate_surrogate.py $(if $(SCAN),--scan="$(SCAN)") $(if $(MOTIONS),--motions="$(MOTIONS)") $(if $(TOOL),--tool="$(TOOL)") $(if $(STATION),--station="$(STATION)") $(if $(CONFIGS),--configs="$(CONFIGS)") $(if $(SEED),--seed="$(SEED)") $(if $(UNIT),--unit="$(UNIT)") $(if $(JSON),--json="$(JSON)")
 
 clean:  ## remove build products (keeps .venv)
 	@rm -rf build dist hapticlod/_runtime.*

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticlod.surrogate.cost import CostModel, cell_factors, group_sizes, window_samples
+from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_sizes, window_samples
 from hapticlod.surrogate.ladder_curves import LadderCurves, ladder_curves
 from hapticlod.surrogate.measurement import Feel, Instants, LadderMeasurement
 from tuning.grid import Clock, Grid
@@ -18,8 +18,7 @@ from tuning.replays import Tour
 
 Array = NDArray[np.float64]
 
-# Quantiles of a switch's cost that stand for its distribution.
-_SWITCH_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
+_FEWEST_ENTRIES = 8
 _TAIL_SHARE = 0.02
 _LEAST_SPREAD = 0.02
 # The number of contact cycles is a shape: in steps, so that compiled code fits other motions.
@@ -35,7 +34,9 @@ class LadderData:
         fields: by name (R, B, ...), of `tuning.level_fields.level_fields`.
         cost_ns: (R, B, T) of a tick, on the station, interrupts taken out.
         reference: of the finest level.
-        tour: of switches; switch_ns: (R, B, I) cost of the tick that enters a level, on the station.
+        tour: of switches.
+        switch_ns, free_switch_ns: (R, B, M) cost of ticks that enter a level, on the station, in contact and out of it:
+            one value for each of the shares `hapticlod.surrogate.cost.SWITCH_SHARES`, cheapest first.
         cell_rungs: rungs whose other cell sizes were sampled.
         cell_cost: (S, B, H, 2) mean cost, and mean cost of the dearest ticks, by cell size, at these rungs.
         level_bytes: (R,) with the replays' cells; cell_bytes: (S, H).
@@ -48,6 +49,7 @@ class LadderData:
     reference: Reference
     tour: Tour
     switch_ns: Array
+    free_switch_ns: Array
     cell_rungs: tuple[int, ...]
     cell_cost: Array
     level_bytes: Array
@@ -111,7 +113,7 @@ def _instants(data: LadderData, stiffness_n_mm: float) -> Instants:
         held=jnp.asarray(data.tour.held.astype(np.float64)),
         rough_n=jnp.asarray(data.fields["rough_n"]),
         rough_noticed=jnp.asarray(reference.perception.noticed(data.fields["rough_n"] / jnd)),
-        log_windows=jnp.asarray(np.log1p(np.round(np.array(WINDOWS_S) * clock.loop_hz))),
+        windows=jnp.asarray(np.round(np.array(WINDOWS_S) * clock.loop_hz)),
         force_n=jnp.asarray(reference.force_n[at]),
         step_n=jnp.asarray(reference.step_n[at]),
         contact=jnp.asarray(mean(reference.contact.astype(np.float64))),
@@ -140,22 +142,30 @@ def _cost_model(data: LadderData, curves) -> CostModel:
     share = np.clip((samples - body) / np.maximum(tail - body, 1e-3), 0.0, 1.0)
     cost = np.maximum(data.cell_cost, 1.0)
     factors = np.log(cost / cost[:, :, data.grid.base_cell : data.grid.base_cell + 1])
-    touching = data.tour.touching
     return CostModel(
         samples=curves(samples),
         tail_share=curves(share),
-        switch=curves(_switch_cost(data.switch_ns, touching)),
-        free_switch=curves(_switch_cost(data.switch_ns, ~touching)),
+        switch=curves(np.log(np.maximum(data.switch_ns, 1.0))),
+        free_switch=curves(np.log(np.maximum(data.free_switch_ns, 1.0))),
         cells=cell_factors(np.array(data.grid.cell_edges), _along_rungs(data, factors)),
         sizes=jnp.asarray(group_sizes(window), dtype=samples.dtype),
         spread=jnp.asarray(_LEAST_SPREAD),
     )
 
 
-def _switch_cost(cost_ns: Array, chosen: NDArray[np.bool_]) -> Array:
-    """ln ns (R, B, M) of the chosen instants; of all where none is."""
-    some = cost_ns[:, :, chosen] if chosen.any() else cost_ns
-    return np.moveaxis(np.log(np.maximum(np.quantile(some, _SWITCH_QUANTILES, axis=2), 1.0)), 0, -1)
+def entry_costs(cost: Array, touched: NDArray[np.bool_], ordinary: Array) -> tuple[Array, Array]:
+    """Cost of ticks that enter a level, (M,) in contact and (M,) out of it, cheapest share first.
+
+    Args:
+        cost: (n,) of the ticks that entered it. touched: (n,) whether in contact.
+        ordinary: of all its ticks: what stands in where nothing ever entered it.
+    """
+    edges = np.concatenate([[0.0], np.cumsum(SWITCH_SHARES)])
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    every = cost if len(cost) else ordinary
+    kinds = (cost[chosen] if chosen.sum() >= _FEWEST_ENTRIES else every for chosen in (touched, ~touched))
+    in_contact, free = (np.quantile(kind, middle) for kind in kinds)
+    return in_contact, free
 
 
 def _along_rungs(data: LadderData, values: Array) -> Array:

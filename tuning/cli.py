@@ -35,13 +35,14 @@ app.command("tuning.commands.tune:tune_command", name="tune", help="Tune a scan 
 app.command("tuning.commands.inspect:inspect_command", name="inspect", help="Show what a bundle holds.")
 
 
-def run(tokens: Sequence[str]) -> int:
+def run(tokens: Sequence[str], program: App = app) -> int:
     """Carry out one command line and return its exit status; faults are printed as one line on standard error."""
+    name = program.name[0]
     try:
-        app(list(tokens), exit_on_error=False, print_error=False, result_action="return_value")
+        program(list(tokens), exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
     except CycloptsError as error:
-        return _say(f"hapticlod: {str(error).rstrip('.')}; see hapticlod --help", BAD_INPUT)
+        return _say(f"{name}: {str(error).rstrip('.')}; see {name} --help", BAD_INPUT)
     except HapticLODError as error:
         return _say(str(error), BAD_INPUT)
     except KeyboardInterrupt:

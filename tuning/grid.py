@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hapticlod.ladder import Rung
 from hapticlod.motion import Motion
 from hapticlod.tool import Tool
 
@@ -18,18 +18,9 @@ BASE_CELL = 2
 # Subsets of a shaped tool's balls: each a quarter of the one before.
 THINNING = 4.0
 FEWEST_BALLS = 4
-BIN_S = 0.004
-BINS_PER_WINDOW = 8
+BIN_S = 0.008
+BINS_PER_WINDOW = 4
 BINS_PER_INSTANT = 4
-
-
-class RungLike(Protocol):
-    """What is needed of a rung."""
-
-    @property
-    def triangles(self) -> int: ...
-    @property
-    def mean_edge_mm(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -59,9 +50,9 @@ class Grid:
         return self.cell_edges[self.base_cell if cell is None else cell] * self.edge_mm[rung]
 
 
-def make_grid(rungs: Sequence[RungLike], tool: Tool) -> Grid:
+def make_grid(rungs: Sequence[Rung], tool: Tool) -> Grid:
     """All rungs that differ, and quarters of the tool's balls down to a few."""
-    kept: list[RungLike] = []
+    kept: list[Rung] = []
     for rung in rungs:
         if not kept or rung.triangles < kept[-1].triangles:
             kept.append(rung)
@@ -122,7 +113,7 @@ class Clock:
 
 
 def make_clock(motions: Sequence[Motion]) -> Clock:
-    """Bins of about 4 ms, at least one tick."""
+    """Bins of about 8 ms, at least one tick."""
     loop_hz = motions[0].loop_hz
     per_bin = max(1, round(BIN_S * loop_hz))
     window = per_bin * BINS_PER_WINDOW

@@ -111,8 +111,15 @@ class SequentialQuadratic(optx.AbstractMinimiser):
 
     def step(self, fn, y, args, options: dict[str, Any], state: _State, tags):
         trial = jnp.clip(y + state.step, options["lower"], options["upper"])
-        value, excess = fn(trial, args)
-        finite = jnp.isfinite(value) & jnp.all(jnp.isfinite(excess))
+
+        def both(point):
+            value, excess = fn(point, args)
+            return jnp.concatenate([value[None], excess])
+
+        # Once forward, for value and slopes: what is compiled is half as large, and few steps are rejected.
+        outcome, pull = jax.vjp(both, trial)
+        value, excess = outcome[0], outcome[1:]
+        finite = jnp.all(jnp.isfinite(outcome))
         merit = state.value + state.penalty * _violation(state.excess)
         trial_merit = value + state.penalty * _violation(excess)
         ratio = (merit - trial_merit) / jnp.maximum(state.predicted, jnp.finfo(y.dtype).tiny)
@@ -124,11 +131,6 @@ class SequentialQuadratic(optx.AbstractMinimiser):
         radius = jnp.where(state.first, state.radius, jnp.minimum(radius, 1.0))
 
         def moved(state: _State) -> _State:
-            def both(point):
-                value, excess = fn(point, args)
-                return jnp.concatenate([value[None], excess])
-
-            _, pull = jax.vjp(both, trial)
             # One row after the other: batching the rows of a memory-bound backward pass made it slower, measured.
             slopes = jax.lax.map(lambda row: pull(row)[0], jnp.eye(1 + excess.shape[0], dtype=trial.dtype))
             gradient, jacobian = slopes[0], slopes[1:]

@@ -2,8 +2,8 @@
 
 A replay of one fixed level says what the level costs and feels like. It does not say what a switch does: two levels
 that were replayed apart may hold the tool in different valleys, because an SCP remembers its history. So at every
-instant a tour visits all levels from the same place, by the mapping that the station will use; its switch ticks also
-say what a switch costs. Replays run in threads: the runtime releases the interpreter's lock.
+instant a tour visits all levels from the same place, by the mapping that the station will use. What a switch costs is
+another matter: `tuning.relay`. Replays run in threads: the runtime releases the interpreter's lock.
 """
 
 from __future__ import annotations
@@ -83,14 +83,11 @@ class Tour:
         offset_n: (R, B, I, 3) stiffness times (SCP there - SCP of the finest level with all balls).
         gap_mm: (R, B, I) how far the level's surface lies outward of the finest level's where that is touched, along
             the force: what a mapping has to bridge. The SCP may slide much further once it has arrived.
-        rows: (R, B, I) of the tick that entered the level, counters and time of the slide included. Rung 0 with all
-            balls: of the return to it.
         held: (R, B, I) whether the level was in contact, the hand being where it was.
     """
 
     offset_n: Array
     gap_mm: Array
-    rows: NDArray
     held: NDArray[np.bool_]
 
     @property
@@ -120,12 +117,12 @@ def tour_ladder(
     instants = clock.ticks // clock.ticks_per_instant
     offset = np.zeros((rungs, subsets, instants, 3))
     gap = np.zeros((rungs, subsets, instants))
-    entered = np.zeros((rungs, subsets, instants), dtype=RECORD_DTYPE)
     held = np.zeros((rungs, subsets, instants), dtype=bool)
+    plain = bench.station.adjusted(damping_n_s_mm=0.0, friction_static=0.0, friction_dynamic=0.0, max_slew_n_s=0.0)
     routes = [_Route(m, rows, clock, _PRESSED_SHARE * l_mm) for m, rows in zip(motions, finest, strict=True)]
 
     def go(leg: list[tuple[int, int]]) -> None:
-        renderer = bench.renderer([levels[r] for r, _ in leg], _tour_config(bench, leg, l_mm))
+        renderer = bench.renderer([levels[r] for r, _ in leg], unreached_levels(bench, plain, leg, l_mm))
         rows = np.concatenate([route.replayed(renderer, len(leg)) for route in routes])
         base, contact = rows["scp_mm"][:, 0], rows["contact"][:, 0] == 1
         out = base - rows["hip_mm"][:, 0]
@@ -133,9 +130,6 @@ def tour_ladder(
         for stop, (r, b) in enumerate(leg):
             at = 2 * stop - 1 if stop else 2 * len(leg) - 1  # the return closes the tour
             pressed, slid = rows[:, at], rows[:, at + 1]
-            entered[r, b] = pressed
-            for name in ("cost_ns", *COUNTERS):
-                entered[r, b][name] += slid[name]
             held[r, b] = slid["contact"] == 1 if stop else contact
             if stop:
                 offset[r, b] = bench.station.stiffness_n_mm * (slid["scp_mm"] - base)
@@ -144,20 +138,21 @@ def tour_ladder(
     with ThreadPoolExecutor(threads) as pool:
         for count, _ in enumerate(pool.map(go, legs), 1):
             done(count / len(legs))
-    return Tour(offset, gap, entered, held)
+    return Tour(offset, gap, held)
 
 
-def _tour_config(bench: Bench, leg: list[tuple[int, int]], l_mm: float) -> Any:
-    """Levels in the leg's order; only the floor moves between them."""
-    plain = bench.station.adjusted(damping_n_s_mm=0.0, friction_static=0.0, friction_dynamic=0.0, max_slew_n_s=0.0)
-    first = bench.fixed(0, bench.grid.balls[0]).changed(l_in_mm=l_mm, l_out_mm=l_mm)
-    scalar = np.array(first.to_runtime(plain, bench.tool, bench.origin_mm))
+def unreached_levels(
+    bench: Bench, station: Station, leg: Sequence[tuple[int, int]], l_mm: float, blend_ms: float = 0.0
+) -> Any:
+    """CONFIG_DTYPE scalar of levels in the leg's order; no speed reaches a threshold: only the floor moves."""
+    first = bench.fixed(0, bench.grid.balls[0]).changed(l_in_mm=l_mm, l_out_mm=l_mm, blend_ms=blend_ms)
+    scalar = np.array(first.to_runtime(station, bench.tool, bench.origin_mm))
     scalar["level_count"] = len(leg)
     for i, (r, b) in enumerate(leg):
         scalar["triangles"][i], scalar["cell_mm"][i] = bench.grid.triangles[r], bench.grid.cell_mm(r)
         scalar["balls"][i] = bench.grid.balls[b]
         if i:
-            scalar["speeds_mm_s"][i - 1] = 1e9  # out of reach
+            scalar["speeds_mm_s"][i - 1] = 1e9
     return scalar[()]
 
 

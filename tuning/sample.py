@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from hapticlod.motion import Motion
 from hapticlod.perception import Perception
 from hapticlod.station import CostCoefficients, Station
-from tuning.assemble import LadderData, cell_rungs, dearest_mean
+from hapticlod.surrogate.cost import SWITCH_SHARES
+from tuning.assemble import LadderData, cell_rungs, dearest_mean, entry_costs
 from tuning.calibrate import calibrate, counted_cost_ns, without_interrupts
 from tuning.grid import Clock
 from tuning.level_fields import level_fields, make_reference
+from tuning.relay import relay_ladder
 from tuning.replays import Bench, replay_fixed, tour_ladder
 
 Array = NDArray[np.float64]
@@ -95,17 +97,21 @@ def sample_ladder(
 
     progress("switch between levels", 0.0)
     tour = tour_ladder(
-        bench, levels, cut, first, clock, l_mm, threads(), lambda done: progress("switch between levels", done)
+        bench, levels, cut, first, clock, l_mm, threads(), lambda done: progress("switch between levels", 0.5 * done)
     )
-    switch = np.array(
-        [[costing.cost_ns(row, size) for row in rows] for rows, size in zip(tour.rows, level_bytes, strict=True)]
+    entered, touched = relay_ladder(
+        bench, levels, cut, clock, l_mm, threads(), lambda done: progress("switch between levels", 0.5 + 0.5 * done)
     )
+    switch = np.zeros((2, *grid.shape, len(SWITCH_SHARES)))
+    for place, rows in entered.items():
+        priced = costing.cost_ns(rows, int(level_bytes[place[0]])) if len(rows) else np.zeros(0)
+        switch[:, *place] = entry_costs(priced, touched[place], cost[place])
 
     chosen = tuple(cell_rungs(grid))
     swept = _sweep_cells(bench, levels, chosen, cut, costing, progress)
     data = LadderData(
         grid=grid, clock=clock, fields=fields, cost_ns=cost, reference=reference, tour=tour,
-        switch_ns=switch, cell_rungs=chosen,
+        switch_ns=switch[0], free_switch_ns=switch[1], cell_rungs=chosen,
         cell_cost=swept[0], level_bytes=level_bytes, cell_bytes=swept[1],
     )  # fmt: skip
     return data, costing

@@ -61,16 +61,21 @@ class Verifier:
         with ThreadPoolExecutor(threads()) as pool:
             return list(pool.map(one, self.motions))
 
+    def reference(self) -> list[Record]:
+        """The finest level's records, one per motion; its times are those of a single run."""
+        if not self._reference:
+            self._reference = self.records(finest_only(self.ladder, self.tool), 1)
+        return self._reference
+
     def measured(self, config: LodConfig, repeats: int = REPEATS) -> dict[str, float]:
         """The metrics, against the finest level on the same motions."""
         asked = kept.key_of("measured", self.key, config.changed(name="").model_dump_json(), repeats)
         found = kept.load("measured", asked) if self.key else None
         if found is None:
-            if not self._reference:
-                self._reference = self.records(finest_only(self.ladder, self.tool), 1)
+            reference = self.reference()
             self.runs += 1
             records = self.records(config, repeats)
-            found = measure(records, self._reference), [record.cost_us.astype(np.float32) for record in records]
+            found = measure(records, reference), [record.cost_us.astype(np.float32) for record in records]
             if self.key:
                 kept.store("measured", asked, found)
         metrics, costs = found

@@ -8,6 +8,8 @@ means of groups: the tail is exact and the arrays stay small.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,11 +18,13 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from hapticlod.surrogate.ladder_curves import LadderCurves, Places, cubic_weights, pchip_slopes
-from hapticlod.surrogate.quantile import smooth_max, smooth_quantile
+from hapticlod.surrogate.quantile import smooth_max, smooth_quantiles
 from hapticlod.surrogate.switching import Switching, affine_scan
 
 # Ticks of a window in one sample each, dearest first: 1, 1, 1, 1, 2, 4, 8, ... until the window is used up.
 SINGLE_TICKS = 4
+# Of the ticks that enter a level, in one sample each, cheapest first.
+SWITCH_SHARES = (0.2, 0.2, 0.2, 0.2, 0.1, 0.05, 0.03, 0.015, 0.005)
 
 
 def group_sizes(ticks: int) -> NDArray[np.int64]:
@@ -77,7 +81,8 @@ class CostModel(eqx.Module):
 
     - `samples`: ln ns, trailing shape (windows, samples), dearest first within a window.
     - `tail_share`: trailing shape as `samples`: 0 where a sample belongs to its rung's body, 1 in its tail.
-    - `switch`: ln ns of ticks that change the level in contact, by the level entered, trailing shape (M,).
+    - `switch`: ln ns of ticks that change the level in contact, by the level entered, trailing shape (M,): one sample
+      for each of `SWITCH_SHARES`.
     - `free_switch`: the same without contact.
     - `cells`: dependence on cell size.
     - `sizes`: (samples,) ticks that a sample stands for.
@@ -102,9 +107,9 @@ class TickCosts(eqx.Module):
     log_ns: Float[Array, " n"]
     weights: Float[Array, " n"]
 
-    def quantile_us(self, probability: float, spread: Float[Array, ""]) -> Float[Array, ""]:
-        """Quantile of the loop cost, us."""
-        return jnp.exp(smooth_quantile(self.log_ns, self.weights, probability, spread)) * 1e-3
+    def quantiles_us(self, probabilities: Sequence[float], spread: Float[Array, ""]) -> Float[Array, " q"]:
+        """Quantiles of the loop cost, us."""
+        return jnp.exp(smooth_quantiles(self.log_ns, self.weights, probabilities, spread)) * 1e-3
 
     def mean_us(self) -> Float[Array, ""]:
         """Mean loop cost, us."""
@@ -139,7 +144,7 @@ def tick_costs(
     for curves, flow in ((model.switch, in_contact), (model.free_switch, free)):
         events = curves.levels(places) + factors[:, 1:]
         parts.append(events.reshape(-1))
-        counts.append(jnp.broadcast_to(flow[:, None] / events.shape[1], events.shape).reshape(-1))
+        counts.append((flow[:, None] * jnp.array(SWITCH_SHARES, dtype=flow.dtype)).reshape(-1))
     return TickCosts(jnp.concatenate(parts), jnp.concatenate(counts)), log_ns, weights
 
 

@@ -50,7 +50,7 @@ class Instants(eqx.Module):
     - `held`: (R, B, I) 1 where the rung is in contact, else 0.
     - `rough_n`: (R, B, W, I) largest |dF| - |dR| of a tick, at least 0, in the window that begins here; W windows.
     - `rough_noticed`: (R, B, W, I) probability that it is noticed as a jump.
-    - `log_windows`: (W,) ln(1 + ticks) of these windows, from 0.
+    - `windows`: (W,) ticks in these windows beyond the first, from 0.
     - `force_n`, `step_n`: (I, 3) reference force, and its change in one tick.
     - `contact`: (I,) share of the instant's ticks in which the reference is in contact.
     - `starts`: (I,) instants that begin a motion.
@@ -64,7 +64,7 @@ class Instants(eqx.Module):
     held: Float[Array, "R B I"]
     rough_n: Float[Array, "R B W I"]
     rough_noticed: Float[Array, "R B W I"]
-    log_windows: Float[Array, " W"]
+    windows: Float[Array, " W"]
     force_n: Float[Array, "I 3"]
     step_n: Float[Array, "I 3"]
     contact: Float[Array, " I"]

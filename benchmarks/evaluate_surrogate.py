@@ -1,0 +1,117 @@
+"""`make evaluate-surrogate SCAN=file [MOTIONS="a.csv b.csv"] [TOOL=file] [CONFIGS=60] [JSON=out.json]`
+
+Random configurations of one scan, each predicted by the surrogate and measured in the runtime on motions kept apart:
+rank correlations and ratios per metric, beside trivial predictors. What the figures mean: `tuning.evaluate`.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from cyclopts import App
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from hapticlod.errors import InputError
+from tuning.cli import run
+from tuning.commands.tune import DEFAULT_STATION, DEFAULT_TOOL
+from tuning.progress import StageProgress
+
+FEWEST_CONFIGS = 5
+app = App(name="evaluate-surrogate", help="Compare what the surrogate predicts with what the runtime measures.")
+
+
+@app.default
+def evaluate_command(
+    *,
+    scan: Path | None = None,
+    motions: str = "",
+    tool: Path | None = None,
+    station: Path | None = None,
+    configs: int = 60,
+    unit: str = "mm",
+    seed: int = 0,
+    json: Path | None = None,
+) -> None:
+    """Compare what the surrogate predicts with what the runtime measures.
+
+    Parameters
+    ----------
+    scan
+        Triangle mesh: STL, PLY, OBJ, OFF or GLB.
+    motions
+        Recorded hand motions, CSV files parted by spaces. Default: strokes made on the scan's surface.
+    tool
+        Tool file. Default: a point.
+    station
+        Station file. Default: a desktop at 1 kHz.
+    configs
+        How many random configurations, 1 to 5 levels in turn.
+    unit
+        Unit of the scan's coordinates.
+    seed
+        Of motions and configurations.
+    json
+        Also write the figures here.
+    """
+    from hapticlod.files import write_json
+    from hapticlod.motion import load_motion
+    from hapticlod.scan import load_scan
+    from hapticlod.shipped import shipped_config
+    from hapticlod.station import load_station
+    from hapticlod.tool import load_tool
+
+    if scan is None:
+        raise InputError("SCAN", "no scan was given", "say make evaluate-surrogate SCAN=file")
+    if configs < FEWEST_CONFIGS:
+        raise InputError("CONFIGS", f"{configs} are too few to rank", f"give at least {FEWEST_CONFIGS}")
+    if json is not None and (json.is_dir() or not json.resolve().parent.is_dir()):
+        raise InputError(str(json), "cannot be written", "give the name of a file in a folder that exists")
+    target = load_station(station or shipped_config(DEFAULT_STATION))
+    held = load_tool(tool or shipped_config(DEFAULT_TOOL))
+    recorded = [motion for path in motions.split() for motion in load_motion(Path(path), target.loop_hz)]
+    with StageProgress(Console(stderr=True, highlight=False)) as told:
+        told("load and clean the scan", 0.0)
+        cleaned = load_scan(scan, unit)
+        from tuning.compile_cache import keep_compiled
+        from tuning.evaluate import evaluate, scores
+        from tuning.prepare import prepare
+        from tuning.verify import Verifier
+
+        keep_compiled()
+        ready = prepare(cleaned, target, held, recorded or None, seed=seed, progress=told)
+        verifier = Verifier(ready.ladder, held, target, ready.apart, ready.costing)
+        trials = evaluate(ready, verifier, target, configs, seed, told)
+    found = scores(trials)
+    about = {
+        "scan": cleaned.name, "triangles": cleaned.triangles, "tool": held.name, "balls": held.balls,
+        "station": target.name, "configs": len(trials), "seed": seed,
+        "ticks_seen": ready.data.clock.ticks, "ticks_apart": sum(motion.ticks for motion in ready.apart),
+    }  # fmt: skip
+    title = (
+        f"{cleaned.name}, {held.name}, {target.name}: {len(trials)} configurations; surrogate from "
+        f"{about['ticks_seen']} ticks, measured on {about['ticks_apart']} others"
+    )
+    Console(highlight=False).print(_table(found, title))
+    if json is not None:
+        write_json(json, {**about, **found})
+
+
+def _table(found: dict[str, Any], title: str) -> Table:
+    table = Table(title=title, title_justify="left", title_style="", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("metric", no_wrap=True)
+    headings = ("Spear-\nman", "Ken-\ndall", "ceil-\ning", "ratio\np5", "ratio\np50", "ratio\np95", "trian-\ngles")
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for key, score in found["metrics"].items():
+        trivial = found["baselines"]["total_triangles"][key]["spearman"]
+        values = [score[k] for k in ("spearman", "kendall", "ceiling", "ratio_p5", "ratio_p50", "ratio_p95")]
+        table.add_row(key, *["-" if v is None else f"{v:.3g}" for v in (*values, trivial)])
+    return table
+
+
+if __name__ == "__main__":
+    sys.exit(run(sys.argv[1:], app))
