@@ -165,11 +165,6 @@ def test_shading_is_continuous_across_edges(radius_mm: float) -> None:
     assert np.abs(np.linalg.norm(shaded, axis=1) - np.linalg.norm(plain, axis=1)).max() < 1e-9
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="a contact plane keeps the contact point it had before the tick's last slide",
-)
 @pytest.mark.parametrize("radius_mm", [0.0, 0.5])
 def test_a_shaded_force_belongs_to_its_place(radius_mm: float) -> None:
     """Moved 0.1 mm, then at rest: SCP and HIP are the same in both ticks, so must be force and torque."""
@@ -194,11 +189,6 @@ def test_shading_is_continuous_through_a_groove() -> None:
     assert steps.max() < 0.02, f"step of {steps.max():.4f} N"
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="shading gives the whole force the shaded normal's direction: friction is lost",
-)
 @pytest.mark.parametrize("radius_mm", [0.0, 0.5])
 def test_shading_leaves_friction(radius_mm: float) -> None:
     """On a plane every interpolated normal is the plane's: shading changes nothing, friction included."""
@@ -234,13 +224,8 @@ def fast_and_slow(radius_mm: float, ticks: int = 900) -> np.ndarray:
     return hip
 
 
-UNBLENDED = pytest.mark.xfail(
-    strict=True, raises=AssertionError, reason="the blend carries the SCP, not the shaded direction: it jumps"
-)
-
-
 @pytest.mark.parametrize("radius_mm", [0.0, 0.5])
-@pytest.mark.parametrize(("friction", "shading"), [(0.0, 0), (0.4, 0), (0.4, 1), pytest.param(0.0, 1, marks=UNBLENDED)])
+@pytest.mark.parametrize(("friction", "shading"), [(0.0, 0), (0.4, 0), (0.4, 1), (0.0, 1)])
 def test_friction_and_shading_across_level_switches(friction: float, shading: int, radius_mm: float) -> None:
     """Two levels 0.1 mm apart and tilted by 3 degrees: with the blend no tick's force steps by more than its share."""
     tilt = np.tan(np.radians(3.0))
@@ -261,11 +246,6 @@ def test_friction_and_shading_across_level_switches(friction: float, shading: in
     assert steps.max() < share, f"largest step {steps.max():.4f} N, share {share:.4f} N"
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="ContactSolver::place() moves the point back without adding to path_: cullings are stale",
-)
 @pytest.mark.parametrize(("radius_mm", "seed"), [(0.0, 1), (0.0, 5), (0.5, 0), (0.5, 1)])
 def test_friction_never_lets_through(radius_mm: float, seed: int) -> None:
     """200 mm/s into a sphere of 1280 faces: without friction nothing passes, nor must it with."""
@@ -279,9 +259,6 @@ def test_friction_never_lets_through(radius_mm: float, seed: int) -> None:
         assert low.min() > least - 1e-3, f"tick {np.argmax(low < least - 1e-3)}: {least - low.min():.3f} mm too deep"
 
 
-@pytest.mark.xfail(
-    strict=True, raises=AssertionError, reason="friction holds the reference point, not what the turned balls allow"
-)
 def test_a_held_tool_turns_out_of_the_surface() -> None:
     """A ball on the plane and a point beside it: the point is turned down 0.2 mm, the tool must rise by as much."""
     balls = np.array([[0.0, 0.0, 0.0, 0.5], [2.0, 0.0, -0.5, 0.0]])

@@ -31,9 +31,6 @@ def pressed_then_fast(ticks: int = 40) -> np.ndarray:
     return hip
 
 
-@pytest.mark.xfail(
-    strict=True, raises=AssertionError, reason="mapping asks that no ball touches, not on which side the others are"
-)
 def test_a_switch_leaves_no_ball_behind_the_new_level() -> None:
     """Level 1 rises by 5 % along x: the ball is lifted by 1 um, the point would be 80 um behind."""
     low = shapes.plane(10.0, 20)
@@ -46,9 +43,6 @@ def test_a_switch_leaves_no_ball_behind_the_new_level() -> None:
     assert height.min() > -1e-3, f"{-1e3 * height.min():.0f} um behind"
 
 
-@pytest.mark.xfail(
-    strict=True, raises=AssertionError, reason="mapping asks that no ball touches, not on which side the others are"
-)
 def test_a_level_with_more_balls_frees_those_that_come_back() -> None:
     """One ball on level 0 sinks the tool's second, 0.5 mm below it, into the plane; level 1 uses both."""
     tool = np.array([[0.0, 0.0, 0.0, 1.0], [2.0, 0.0, -1.5, 0.1]])
@@ -62,11 +56,6 @@ def test_a_level_with_more_balls_frees_those_that_come_back() -> None:
     assert lowest.min() > 0.1 - 1e-3, f"second ball's middle at {lowest.min():.3f} mm"
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="the way out is sought for the deepest ball; one wholly inside touches nothing",
-)
 def test_a_start_inside_frees_every_ball() -> None:
     """Begun inside a sphere with a ball 0.6 mm and a small one 1.6 mm deep, 3 mm apart: both must get out."""
     mesh = shapes.sphere(10.0, 4)
@@ -78,11 +67,6 @@ def test_a_start_inside_frees_every_ball() -> None:
         assert out.min() > 9.98, f"a ball is {10.0 - out.min():.3f} mm inside"
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="between the sides of a plate the pushes undo each other; the tool is stuck for good",
-)
 def test_a_start_across_a_thin_plate_gets_out() -> None:
     """Two balls, one at either side of a 0.3 mm plate. Wherever it gets out, the hand's leaving must free it."""
     balls = np.array([[0.0, 0.0, 0.2, 0.15], [0.8, 0.0, -0.25, 0.15]])
@@ -98,11 +82,6 @@ def turned_about_y(angle_rad: np.ndarray) -> np.ndarray:
     return np.column_stack([np.cos(0.5 * angle_rad), 0.0 * angle_rad, np.sin(0.5 * angle_rad), 0.0 * angle_rad])
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="a held turn is tried again only when the hand's orientation changes once more",
-)
 def test_a_turn_that_was_held_is_taken_up_when_there_is_room() -> None:
     """A bar in a slot cannot turn; out of the slot it must take the orientation that the hand kept all the while."""
     below_v, faces = shapes.plane(10.0, 20)

@@ -46,6 +46,7 @@ public:
     // The tool's balls moved by up to `distance` relative to the reference point.
     void rotated(double distance) { odometer_ += distance, turned_ += distance; }
 
+    [[nodiscard]] const ActiveLevel& level() const { return *level_; }
     [[nodiscard]] bool valid() const { return valid_; }
     [[nodiscard]] const Vec3& centre() const { return centre_; }
     // What is left for the reference point to move.

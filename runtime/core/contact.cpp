@@ -302,7 +302,9 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
     out.active = final.active;
     for (int i = 0; i < final.active; ++i) {
         out.planes[i] = planes_.planes[final.index[i]];
-        out.planes[i].point += centre;
+        // The plane may have been taken before the last slide along it.
+        const Triangle t = candidates_.triangle(out.planes[i].block, out.planes[i].lane);
+        out.planes[i].point = closest_on_triangle(local_, t).point + balls[out.planes[i].ball].offset + centre;
         out.multiplier[i] = final.multiplier[i];
     }
     touched_ = final.active > 0;

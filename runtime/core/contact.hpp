@@ -33,6 +33,15 @@ struct Tolerances {
 [[nodiscard]] double time_of_touch(const Triangle& triangle, const Vec3& p, const Vec3& step, double keep,
                                    double precision);
 
+// One ball's nearest surface point, as surface_side() finds it.
+struct BallSide {
+    static constexpr std::uint32_t kMostAround = 32;  // triangles around one vertex
+    double distance = 0.0;
+    Vec3 point, normal;  // angle-weighted, not normalised
+    std::uint32_t around = 0;
+    std::array<std::uint32_t, kMostAround> counted;
+};
+
 struct Contact {
     Vec3 scp;        // nearest feasible point without the skin: what force is computed from
     int active = 0;  // constraints, 0..3
@@ -46,6 +55,7 @@ public:
     void allocate(const ToolTree& tree, std::size_t balls) {
         candidates_.allocate(tree, balls);
         touches_.resize(kMaxTouches);
+        sides_.resize(balls);
     }
     void bind(const ActiveLevel& level, const Kernels& kernels, const Tolerances& tolerances);
 
@@ -78,9 +88,11 @@ public:
     // Lists what is near the present position, see Candidates::gather.
     double gather(double reach, std::span<const SolverBall> balls, TickCounters& counters);
     Candidates& candidates() { return candidates_; }
+    [[nodiscard]] std::span<BallSide> sides() { return sides_; }
     // Lower bound of the distance to the surface, 0 in contact: what the distance policy switches by.
     [[nodiscard]] double free_distance() const { return free_distance_; }
     [[nodiscard]] const Tolerances& tolerances() const { return tolerances_; }
+    [[nodiscard]] bool closed() const { return candidates_.level().closed; }
     [[nodiscard]] double cell_mm() const { return cell_mm_; }
     [[nodiscard]] double mean_edge_mm() const { return mean_edge_mm_; }
 
@@ -124,6 +136,7 @@ private:
     ContactPlane last_touch_;
     bool touched_ = false;
     std::vector<Touch> touches_;
+    std::vector<BallSide> sides_;
 };
 
 }  // namespace hapticlod

@@ -32,17 +32,38 @@ Vec3 weighted_normal(const Triangle& t, const ClosestPoint& c, double same2) {
     return n * (weight / length);
 }
 
-// Least clearance over all candidates at x, in double.
-double least_clearance(Candidates& candidates, const Vec3& x, std::span<const SolverBall> balls) {
-    double least = 1e300;
+// Every ball's nearest surface point among the candidates; returns how many balls have one.
+std::size_t nearest_points(ContactSolver& solver, std::span<const SolverBall> balls, double same,
+                           TickCounters& counters) {
+    Candidates& candidates = solver.candidates();
+    const std::span<BallSide> sides = solver.sides().first(balls.size());
+    for (BallSide& s : sides) s.distance = 1e300, s.around = 0;
+    std::size_t found = 0;
     for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
-        if (candidates.key(i) > least) continue;
+        const std::uint32_t ball = candidates.ball(i);
+        BallSide& s = sides[ball];
+        if (candidates.key(i) + balls[ball].kept > s.distance + same) continue;
+        counters.tests += 8;
         for (std::uint32_t k = 0; k < 8; ++k) {
-            const double d2 = closest_on_triangle(x - candidates.centre(), candidates.triangle(i, k)).distance2;
-            least = std::min(least, std::sqrt(d2) - balls[candidates.ball(i)].kept);
+            const Triangle t = candidates.triangle(i, k);
+            const ClosestPoint p = closest_on_triangle({}, t);
+            const double distance = std::sqrt(p.distance2);
+            if (distance > s.distance + same) continue;
+            if (distance < s.distance - same) {
+                found += s.distance == 1e300 ? 1 : 0;
+                s.distance = distance, s.point = p.point, s.normal = {}, s.around = 0;
+            }
+            // Each triangle counts once, though candidates may repeat it.
+            const auto last = s.counted.begin() + s.around;
+            const std::uint32_t id = candidates.triangle_id(i, k);
+            if (s.around < BallSide::kMostAround && std::find(s.counted.begin(), last, id) == last) {
+                s.counted[s.around++] = id;
+                s.normal += weighted_normal(t, p, same * same);
+            }
+            s.distance = std::min(s.distance, distance);
         }
     }
-    return least;
+    return found;
 }
 
 }  // namespace
@@ -61,48 +82,34 @@ double segment_hit(const Vec3& p, const Vec3& q, const Triangle& t) {
 }
 
 SurfaceSide surface_side(ContactSolver& solver, std::span<const SolverBall> balls, double bound_mm,
-                         TickCounters& counters) {
+                         TickCounters& counters, double front) {
     Candidates& candidates = solver.candidates();
     const Vec3 x = solver.position();
     const double same = 1e-3 * solver.tolerances().skin;
-    SurfaceSide side;
-    constexpr std::size_t kMostAround = 64;  // triangles around one vertex
-    std::array<std::uint32_t, kMostAround> counted;
-    std::size_t around = 0;
+    // A ball on the other side of the surface than its fellows is no further from it than from them.
+    double size = 0.0;
+    for (const SolverBall& ball : balls) size = std::max(size, norm(ball.offset - balls[0].offset));
+    std::size_t found = 0;
     for (double c = std::min(solver.cell_mm(), bound_mm);; c = std::min(1.4 * c, bound_mm)) {
         const double granted = solver.gather(c, balls, counters);
-        double least = 1e300;
-        for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
-            if (candidates.key(i) > least + same) continue;
-            counters.tests += 8;
-            const std::uint32_t touched = candidates.ball(i);
-            for (std::uint32_t k = 0; k < 8; ++k) {
-                const ClosestPoint p = closest_on_triangle({}, candidates.triangle(i, k));
-                const SolverBall& ball = balls[touched];
-                const double clearance = std::sqrt(p.distance2) - ball.kept;
-                if (clearance > least + same) continue;
-                if (clearance < least - same) {
-                    side = {true, std::sqrt(p.distance2), p.point + ball.offset + x, {}, touched};
-                    around = 0;
-                }
-                // Each triangle counts once, though candidates may repeat it.
-                const auto last = counted.begin() + static_cast<std::ptrdiff_t>(around);
-                if (touched == side.ball && around < kMostAround &&
-                    std::find(counted.begin(), last, candidates.triangle_id(i, k)) == last) {
-                    counted[around++] = candidates.triangle_id(i, k);
-                    side.normal += weighted_normal(candidates.triangle(i, k), p, same * same);
-                }
-                least = std::min(least, clearance);
-            }
-        }
-        if (side.found || granted < c || c >= bound_mm) break;
+        found = nearest_points(solver, balls, same, counters);
+        if (found == balls.size() || (found > 0 && c >= size) || granted < c || c >= bound_mm) break;
     }
     candidates.invalidate();
-    if (!side.found) return side;
-    const Vec3 away = x + balls[side.ball].offset - side.point;
-    const double length = norm(side.normal);
-    side.normal = length > 0.0 ? side.normal * (1.0 / length) : away * (1.0 / std::max(norm(away), 1e-300));
-    if (dot(away, side.normal) < 0.0) side.distance = -side.distance;
+    SurfaceSide side;
+    double least = 1e300;
+    for (std::uint32_t b = 0; found > 0 && b < balls.size(); ++b) {
+        const BallSide& s = solver.sides()[b];
+        if (s.distance == 1e300) continue;
+        const double length = norm(s.normal);
+        const Vec3 away = s.point * -1.0;
+        const Vec3 normal = length > 0.0 ? s.normal * (1.0 / length) : away * (1.0 / std::max(norm(away), 1e-300));
+        const double distance = dot(away, normal) < 0.0 ? -s.distance : s.distance;
+        const double clear = (front == 0.0 ? s.distance : front * distance) - balls[b].kept;
+        if (clear >= least) continue;
+        least = clear;
+        side = {true, distance, s.point + balls[b].offset + x, normal, b};
+    }
     return side;
 }
 
@@ -111,17 +118,21 @@ namespace {
 // Frees the deepest ball again and again. In a groove the walls take turns; jointly: each push keeps free what the
 // pushes before it freed, the least way out of all their planes.
 bool push_out(ContactSolver& solver, std::span<const SolverBall> balls, double bound_mm, const ContactMemory* memory,
-              bool jointly, TickCounters& counters) {
+              bool jointly, bool sided, TickCounters& counters) {
     const Vec3 start = solver.position();
     const double skin = solver.tolerances().skin;
+    // Out on the side that was touched. Where one side is as good as the other that holds for the first push alone: in
+    // a narrow groove a wall may well face against the force.
+    double front = memory != nullptr ? memory->side : 1.0;
     PlaneSet planes;
-    for (int k = 0; k < (jointly ? kMaxPlanes : 32); ++k) {
-        const SurfaceSide side = surface_side(solver, balls, bound_mm, counters);
+    for (int k = 0; k <= (jointly ? kMaxPlanes : 32); ++k) {
+        const SurfaceSide side = surface_side(solver, balls, bound_mm, counters, sided ? front : 0.0);
         if (!side.found) break;
-        Vec3 normal = side.normal;
-        // Out on the side that was touched: in a narrow groove a wall may well face against the force.
-        if (memory != nullptr) normal = normal * memory->side;
         const double kept = balls[side.ball].kept;
+        const double distance = sided ? front * side.distance : std::abs(side.distance);
+        if (k > 0 && distance - kept > -0.5 * skin) return true;
+        if (jointly && planes.count == kMaxPlanes) break;
+        const Vec3 normal = side.normal * front;
         Vec3 x = side.point + normal * kept - balls[side.ball].offset;
         if (jointly) {
             planes.planes[planes.count++] = {normal, dot(normal, x - start), side.point};
@@ -129,13 +140,9 @@ bool push_out(ContactSolver& solver, std::span<const SolverBall> balls, double b
             if (!least.feasible) break;
             x = start + least.y;
         }
-        solver.place(x);
-        solver.gather(4.0 * skin, balls, counters);
-        const double clearance = least_clearance(solver.candidates(), x, balls);
-        solver.candidates().invalidate();
         if (norm(x - start) > bound_mm + kept) break;
-        if (clearance > -0.5 * skin) return true;
-        memory = nullptr;  // after the first push the surface's own front is the way out
+        solver.place(x);
+        if (!sided) front = 1.0;
     }
     solver.place(start);
     return false;
@@ -145,8 +152,14 @@ bool push_out(ContactSolver& solver, std::span<const SolverBall> balls, double b
 
 bool place_on_closest(ContactSolver& solver, std::span<const SolverBall> balls, double bound_mm,
                       const ContactMemory* memory, TickCounters& counters) {
-    return push_out(solver, balls, bound_mm, memory, false, counters) ||
-           push_out(solver, balls, bound_mm, memory, true, counters);
+    const auto pushed = [&](bool sided) {
+        return push_out(solver, balls, bound_mm, memory, false, sided, counters) ||
+               push_out(solver, balls, bound_mm, memory, true, sided, counters);
+    };
+    // A single ball that does not touch is on some side; of several one could be left behind. Around an open border
+    // that may be where it belongs.
+    const bool several = balls.size() > 1;
+    return pushed(several) || (several && !solver.closed() && pushed(false));
 }
 
 }  // namespace hapticlod

@@ -15,9 +15,10 @@ struct SurfaceSide {
     std::uint32_t ball = 0;
 };
 
-// The ball that is deepest (or nearest), searched within bound_mm of the solver's reference point.
+// The ball that is deepest (or nearest), searched within bound_mm of the balls. front: -1 where the tool belongs behind
+// the surface, 0 where one side is as good as the other.
 [[nodiscard]] SurfaceSide surface_side(ContactSolver& solver, std::span<const SolverBall> balls, double bound_mm,
-                                       TickCounters& counters);
+                                       TickCounters& counters, double front = 1.0);
 
 // Puts the tool on the nearest surface: on its front, or on the side that memory says was touched. False, with the
 // point unmoved, where none is within the bound or the tool would still overlap.

@@ -32,14 +32,14 @@ Interval blocked(const Triangle& t, const Vec3& p, const Vec3& n, double c, doub
 
 }  // namespace
 
-MappingOutcome Mapper::two_sided(ContactSolver& solver, const ContactMemory& memory, double l_in_mm, double l_out_mm,
-                                 double bound_mm, std::span<const SolverBall> balls, TickCounters& counters) {
+// Whether all balls can be on their side somewhere on the line, and where nearest to the present position.
+bool Mapper::rest_on_line(ContactSolver& solver, const ContactMemory& memory, double l_in_mm, double l_out_mm,
+                          bool sided, std::span<const SolverBall> balls, TickCounters& counters) {
     Candidates& candidates = solver.candidates();
     const Vec3 x = solver.position(), n = memory.normal;
     const double longest = std::max(l_in_mm, l_out_mm), precision = 0.02 * solver.tolerances().skin;
-    const std::uint32_t cells = counters.cells;
-    double c = std::min(std::max(0.25 * solver.cell_mm(), 64.0 * solver.tolerances().skin), longest);
-    MappingOutcome outcome = MappingOutcome::miss;
+    // Behind the surface there is nothing to see of a ball: where sides count, the whole line has to be looked at.
+    double c = sided ? longest : std::min(std::max(0.25 * solver.cell_mm(), 64.0 * solver.tolerances().skin), longest);
     while (longest > 0.0) {
         const double granted = solver.gather(c, balls, counters);
         if (granted < c) {
@@ -47,15 +47,34 @@ MappingOutcome Mapper::two_sided(ContactSolver& solver, const ContactMemory& mem
             if (granted <= 0.0) break;
         }
         const double within = std::min(c, granted);
-        std::size_t count = 0;
+        const Vec3 lo = n * -within, hi = n * within;
+        std::size_t count = 0, crossed = 0;
         for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
-            if (candidates.passes_by(i, n * -within, n * (2.0 * within), 0.0)) continue;
+            if (candidates.passes_by(i, lo, hi - lo, 0.0)) continue;
             counters.tests += 8;
             for (std::uint32_t k = 0; k < 8; ++k) {
-                const Interval v = blocked(candidates.triangle(i, k), {}, n, within, balls[candidates.ball(i)].kept,
-                                           precision, memory.side);
-                if (v.from <= v.to) intervals_[count++] = v;
+                const Triangle t = candidates.triangle(i, k);
+                const Interval v = blocked(t, {}, n, within, balls[candidates.ball(i)].kept, precision, memory.side);
+                if (v.from > v.to) continue;
+                intervals_[count++] = v;
+                if (const double at = sided ? segment_hit(lo, hi, t) : 2.0; at <= 1.0 && crossed < kMaxCrossings) {
+                    const bool facing = memory.side * dot(cross(t.b - t.a, t.c - t.a), n) > 0.0;
+                    crossings_[crossed++] = {within * (2.0 * at - 1.0), candidates.ball(i), facing};
+                }
             }
+        }
+        // A ball's centre below a face that its line crosses is behind the surface, down to the crossing before; above
+        // one that faces the other way, up to the crossing after.
+        for (std::size_t i = 0; i < crossed; ++i) {
+            const Crossing& here = crossings_[i];
+            double before = -within, after = 2.0 * within;  // as good as for ever
+            for (std::size_t k = 0; k < crossed; ++k) {
+                if (crossings_[k].ball != here.ball) continue;
+                if (crossings_[k].at < here.at) before = std::max(before, crossings_[k].at);
+                if (crossings_[k].at > here.at) after = std::min(after, crossings_[k].at);
+            }
+            if (count == intervals_.size()) break;
+            intervals_[count++] = here.facing ? Interval{before, here.at, true} : Interval{here.at, after, false};
         }
         // Tops of the union of blocked stretches: there the tool rests.
         std::sort(intervals_.begin(), intervals_.begin() + static_cast<std::ptrdiff_t>(count),
@@ -72,16 +91,35 @@ MappingOutcome Mapper::two_sided(ContactSolver& solver, const ContactMemory& mem
         }
         if (found) {
             solver.place(x + n * best);
-            outcome = MappingOutcome::hit;
-            break;
+            return true;
         }
         if (granted < c || c >= longest) break;
         c = std::min(2.0 * c, longest);
     }
-    if (outcome == MappingOutcome::miss && bound_mm > 0.0 &&
-        place_on_closest(solver, balls, bound_mm, &memory, counters))
+    return false;
+}
+
+MappingOutcome Mapper::two_sided(ContactSolver& solver, const ContactMemory& memory, double l_in_mm, double l_out_mm,
+                                 double bound_mm, std::span<const SolverBall> balls, TickCounters& counters) {
+    const std::uint32_t cells = counters.cells;
+    const bool several = balls.size() > 1;
+    MappingOutcome outcome = MappingOutcome::miss;
+    const Vec3 before = solver.position();
+    const auto all_in_front = [&] {
+        // A line that runs inside the surface all the way crosses nothing.
+        const SurfaceSide deepest = surface_side(solver, balls, std::max(l_in_mm, l_out_mm), counters, memory.side);
+        if (!deepest.found || memory.side * deepest.distance > 0.0) return true;
+        solver.place(before);
+        return false;
+    };
+    if (rest_on_line(solver, memory, l_in_mm, l_out_mm, several, balls, counters) &&
+        (!several || !solver.closed() || all_in_front()))
+        outcome = MappingOutcome::hit;
+    else if (bound_mm > 0.0 && place_on_closest(solver, balls, bound_mm, &memory, counters))
         outcome = MappingOutcome::closest;
-    candidates.invalidate();
+    else if (several && !solver.closed() && rest_on_line(solver, memory, l_in_mm, l_out_mm, false, balls, counters))
+        outcome = MappingOutcome::hit;  // around an open border some ball may well be on another side
+    solver.candidates().invalidate();
     counters.mapping_cells += counters.cells - cells;
     return outcome;
 }

@@ -22,13 +22,23 @@ struct Interval {
 
 class Mapper {
 public:
-    void allocate() { intervals_.resize(Candidates::kMaxBlocks * 8); }
-    static constexpr std::size_t bytes() { return Candidates::kMaxBlocks * 8 * sizeof(Interval); }
+    void allocate() {
+        intervals_.resize(Candidates::kMaxBlocks * 8);
+        crossings_.resize(kMaxCrossings);
+    }
+    static constexpr std::size_t bytes() {
+        return Candidates::kMaxBlocks * 8 * sizeof(Interval) + kMaxCrossings * sizeof(Crossing);
+    }
 
     // Moves the solver's reference point onto the bound level. Nearest touch on [SCP - l_in n, SCP + l_out n], the
     // tool swept along it; otherwise the closest point within bound_mm; otherwise a miss (the point is left alone).
     MappingOutcome two_sided(ContactSolver& solver, const ContactMemory& memory, double l_in_mm, double l_out_mm,
                              double bound_mm, std::span<const SolverBall> balls, TickCounters& counters);
+
+    // The first half of that. sided: balls that a line carries wholly behind the surface are behind it, though they
+    // touch nothing.
+    bool rest_on_line(ContactSolver& solver, const ContactMemory& memory, double l_in_mm, double l_out_mm, bool sided,
+                      std::span<const SolverBall> balls, TickCounters& counters);
 
     // The paper's rule: one-sided [P, P + l n] from the contact point, all voxels of the box of the two corner voxels,
     // the nearest intersection becomes the contact point; on a miss the SCP stays and contact detection decides.
@@ -36,7 +46,15 @@ public:
                                 double length_mm, TickCounters& counters);
 
 private:
+    static constexpr std::size_t kMaxCrossings = 1024;
+    struct Crossing {
+        double at;
+        std::uint32_t ball;
+        bool facing;
+    };
+
     std::vector<Interval> intervals_;
+    std::vector<Crossing> crossings_;
 };
 
 }  // namespace hapticlod

@@ -35,11 +35,12 @@ struct Renderer::State {
     ForceGate gate;
 
     bool started = false;
-    double time_s = 0.0;
+    double time_s = 0.0, last_stamp_s = 0.0;
     Vec3 hip;                                 // relative to the origin
     double asked[4] = {1.0, 0.0, 0.0, 0.0};   // orientation of the last pose
     double facing[4] = {1.0, 0.0, 0.0, 0.0};  // and of the tool: a turn that is too large or barred comes later
     Contact contact;
+    Vec3 shade;  // what force shading adds to the contact's SCP: the force points from the HIP to scp + shade
     ContactMemory memory;
 
     [[nodiscard]] std::span<const SolverBall> tool(std::uint32_t level) const {
@@ -49,11 +50,13 @@ struct Renderer::State {
     double accept_pose(const Pose& pose, double time_s, TickCounters& counters);
     void turn(const double q[4]);
     void turn_as_asked(double motion_mm, TickCounters& counters);
+    bool get_out(std::uint32_t level, double bound_mm, bool& moved, TickCounters& counters);
     void start(TickCounters& counters);
     MappingOutcome switch_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
     MappingOutcome change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
     void touch(std::uint32_t level, const Vec3& target, double motion_mm, TickCounters& counters);
-    [[nodiscard]] Vec3 force(std::uint32_t level, const Vec3& scp) const;
+    [[nodiscard]] Vec3 shading(std::uint32_t level) const;
+    [[nodiscard]] Vec3 force(const Vec3& pulled_to) const;
 };
 
 Renderer::Renderer() : state_(std::make_unique<State>()) {}
@@ -149,7 +152,9 @@ void Renderer::State::turn_as_asked(double motion_mm, TickCounters& counters) {
         if (part == 1.0) std::copy(asked, asked + 4, q);
         const Rotation rotation(q);
         for (std::size_t i = 0; i < used.size(); ++i) turned[i] = rotation * tool_centres[i];
+        const Vec3 before = solver.position();
         if (!solver.make_way(used, std::span<const Vec3>(turned).first(used.size()), motion_mm, counters)) continue;
+        contact.scp += solver.position() - before;  // what friction holds gives way with it
         if (part < 1.0) counters.errors |= kErrTurnHeld;
         return turn(q);
     }
@@ -162,9 +167,20 @@ double Renderer::State::accept_pose(const Pose& pose, double now_s, TickCounters
     double dt = nominal;
     if (started) {
         dt = now_s - time_s;
-        if (!(dt > 0.0) || !std::isfinite(dt)) counters.errors |= kErrPeriod, dt = nominal;
+        if (!(dt > 0.0) || !std::isfinite(dt)) {
+            // One wrong stamp is passed over; a clock that was set back goes on from where it is now.
+            const double since = now_s - last_stamp_s;
+            const bool set_back = since > 0.0 && since < 10.0 * nominal;
+            dt = set_back ? since : nominal;
+            if (!set_back) counters.errors |= kErrPeriod;
+            time_s = set_back ? now_s : time_s + nominal;
+        } else {
+            time_s = now_s;
+        }
+    } else {
+        time_s = std::isfinite(now_s) ? now_s : 0.0;
     }
-    time_s = std::isfinite(now_s) ? now_s : time_s + nominal;
+    last_stamp_s = now_s;
     const double* q = pose.orientation;
     const double length2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
     const Vec3 position = load3(pose.position_mm) - load3(config.origin_mm);
@@ -190,16 +206,34 @@ double Renderer::State::accept_pose(const Pose& pose, double now_s, TickCounters
     return dt;
 }
 
+// Where the tool overlaps the surface or is inside it: out, to the nearest place in front of it. False: it overlaps
+// still. `moved` says whether it had to.
+bool Renderer::State::get_out(std::uint32_t level, double bound_mm, bool& moved, TickCounters& counters) {
+    const auto used = tool(level);
+    const SurfaceSide side = surface_side(solver, used, bound_mm, counters);
+    moved = side.found && side.distance < used[side.ball].kept;
+    if (!moved || place_on_closest(solver, used, 2.0 * bound_mm, nullptr, counters)) return true;
+    // Its balls want out on different sides, of a thin plate perhaps: any straight way out will do.
+    const Vec3 n = side.normal;
+    for (const Vec3& way :
+         {n, -n, Vec3{0, 0, 1}, Vec3{0, 0, -1}, Vec3{0, 1, 0}, Vec3{0, -1, 0}, Vec3{1, 0, 0}, Vec3{-1, 0, 0}}) {
+        ContactMemory out;
+        out.normal = way;
+        const double far = levels[level].closed ? extent_mm : bound_mm;
+        if (mapper.rest_on_line(solver, out, 0.0, far, true, used, counters)) return true;
+    }
+    return false;
+}
+
 // First tick: where the tool overlaps the surface, contact begins at the nearest place outside it, softly.
 void Renderer::State::start(TickCounters& counters) {
     solver.place(hip);
     // Behind an open sheet is a place to be; inside a closed body is not, however deep.
-    const double bound = (levels[0].closed ? 1.0 : 0.05) * extent_mm;
-    const SurfaceSide side = surface_side(solver, tool(0), bound, counters);
-    if (!side.found || side.distance >= tool(0)[side.ball].kept) return;
+    bool moved = false;
+    get_out(0, (levels[0].closed ? 1.0 : 0.05) * extent_mm, moved, counters);
+    if (!moved) return;
     counters.errors |= kErrStartInside;
     gate.engage(config.engage_s);
-    place_on_closest(solver, tool(0), 2.0 * bound, nullptr, counters);
 }
 
 MappingOutcome Renderer::State::change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip,
@@ -211,10 +245,8 @@ MappingOutcome Renderer::State::change_level(std::uint32_t from, std::uint32_t t
         if (bound > 0.0) {
             const SurfaceSide before = surface_side(solver, tool(from), bound, counters);
             solver.bind(levels[to], best_kernels(), tolerances);
-            const SurfaceSide after = surface_side(solver, tool(to), bound, counters);
-            const bool was_outside = !before.found || before.distance >= 0.0;
-            if (was_outside && after.found && after.distance < tool(to)[after.ball].kept)
-                place_on_closest(solver, tool(to), bound, nullptr, counters);
+            bool moved = false;
+            if (!before.found || before.distance >= 0.0) get_out(to, bound, moved, counters);
         } else {
             solver.bind(levels[to], best_kernels(), tolerances);
         }
@@ -225,8 +257,12 @@ MappingOutcome Renderer::State::change_level(std::uint32_t from, std::uint32_t t
     const MappingOutcome outcome =
         mapper.two_sided(solver, memory, config.l_in_mm, config.l_out_mm, config.closest_bound_mm, tool(to), counters);
     if (outcome == MappingOutcome::miss) {
-        solver.place(last_hip);
+        // Where it was it may well be free on this level: then it goes on from there.
         counters.errors |= kErrContactLost;
+        const double longest = std::max({config.l_in_mm, config.l_out_mm, config.closest_bound_mm});
+        bool moved = false;
+        if (!get_out(to, levels[to].closed ? extent_mm : 2.0 * longest, moved, counters)) solver.place(last_hip);
+        if (moved) gate.engage(config.engage_s);
     }
     return outcome;
 }
@@ -235,13 +271,14 @@ MappingOutcome Renderer::State::change_level(std::uint32_t from, std::uint32_t t
 MappingOutcome Renderer::State::switch_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip,
                                              TickCounters& counters) {
     const bool touching = contact.active > 0;
-    const Vec3 rendered = blend.rendered(contact.scp, norm(contact.scp - last_hip));
+    const Vec3 rendered = blend.rendered(contact.scp + shade, norm(contact.scp - last_hip));
     const MappingOutcome outcome = change_level(from, to, last_hip, counters);
     if (!touching) return outcome;
     contact.active = 0;  // friction holds nothing of the old level
     if (outcome != MappingOutcome::miss && config.blend_s > 0.0) {
         touch(to, last_hip, 0.0, counters);
-        if (contact.active > 0) blend.begin(rendered - contact.scp, config.blend_s, norm(contact.scp - last_hip));
+        if (contact.active > 0)
+            blend.begin(rendered - contact.scp - shade, config.blend_s, norm(contact.scp - last_hip));
     }
     return outcome;
 }
@@ -265,7 +302,9 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, double moti
         }
     }
     contact = free;
+    shade = {};
     if (contact.active == 0) return;
+    shade = shading(level);
     int strongest = 0;
     for (int i = 1; i < contact.active; ++i)
         if (contact.multiplier[i] > contact.multiplier[strongest]) strongest = i;
@@ -278,16 +317,22 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, double moti
     memory.side = dot(face_normal(levels[level].view, p.triangle), p.normal) < 0.0 ? -1.0 : 1.0;
 }
 
-Vec3 Renderer::State::force(std::uint32_t level, const Vec3& scp) const {
-    Vec3 d = scp - hip;
-    if (config.shading != 0) {
-        Vec3 sum;
-        for (int i = 0; i < contact.active; ++i)
-            sum += shaded_normal(levels[level].view, contact.planes[i].triangle, contact.planes[i].point,
-                                 contact.planes[i].normal) *
-                   contact.multiplier[i];
-        if (const double length = norm(sum); length > 0.0) d = sum * (norm(d) / length);
+// The part of the force that the faces give, turned from their normals to the interpolated ones. Friction is left
+// alone.
+Vec3 Renderer::State::shading(std::uint32_t level) const {
+    if (config.shading == 0) return {};
+    Vec3 faces, sum;
+    for (int i = 0; i < contact.active; ++i) {
+        const ContactPlane& p = contact.planes[i];
+        faces += p.normal * contact.multiplier[i];
+        sum += shaded_normal(levels[level].view, p.triangle, p.point, p.normal) * contact.multiplier[i];
     }
+    const double length = norm(sum);
+    return length > 0.0 ? sum * (norm(faces) / length) - faces : Vec3{};
+}
+
+Vec3 Renderer::State::force(const Vec3& pulled_to) const {
+    const Vec3 d = pulled_to - hip;
     const Vec3 spring = d * config.stiffness_n_mm;
     const Vec3 damped = spring - speed.velocity() * config.damping_n_s_mm;
     // Damping resists; it never pulls the tool onto the surface.
@@ -327,8 +372,9 @@ void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
 
     Vec3 force, scp = s.contact.scp;
     if (s.contact.active > 0) {
-        scp = s.blend.rendered(s.contact.scp, norm(s.contact.scp - s.hip));
-        force = s.force(level, scp);
+        const Vec3 pulled_to = s.blend.rendered(s.contact.scp + s.shade, norm(s.contact.scp - s.hip));
+        scp = pulled_to - s.shade;
+        force = s.force(pulled_to);
     } else {
         s.blend.reset();
     }
