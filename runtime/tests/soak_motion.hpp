@@ -37,10 +37,11 @@ public:
 private:
     // A place whose depth is between two heights: in body radii, or in mm over the plate.
     Point anchor(double low, double high) {
-        if (!case_.body->plate) return dice_.direction() * (dice_.between(low, high) * kBodyRadiusMm);
+        if (!case_.body->plate) return dice_.vector(low * kBodyRadiusMm, high * kBodyRadiusMm);
         const double border = dice_.chance(0.15) ? 1.15 : 0.8;
+        const double side = dice_.chance(0.5) ? 1.0 : -1.0;
         return {dice_.between(-border, border) * kPlateHalfMm, dice_.between(-border, border) * kPlateHalfMm,
-                (dice_.chance(0.5) ? 1.0 : -1.0) * (dice_.between(low, high) - 1.0) * 5.0};
+                side * (dice_.between(low, high) - 1.0) * 5.0};
     }
 
     void begin_stroke() {
@@ -59,7 +60,7 @@ private:
         } else if (kind < 0.8) {
             to_ = anchor(1.1, 1.5);
         } else if (kind < 0.88) {
-            to_ = from_ + dice_.direction() * dice_.between(0.0, 0.05);
+            to_ = from_ + dice_.vector(0.0, 0.05);
             speed_mm_s = 1.0;
         } else if (kind < 0.95) {
             to_ = from_ * dice_.between(-1.2, 0.3);

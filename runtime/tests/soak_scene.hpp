@@ -26,6 +26,12 @@ public:
         return {s * std::cos(a), s * std::sin(a), z};
     }
 
+    // In any direction, of a length between the two. One draw after the other: operands have no order of their own.
+    Point vector(double lo, double hi) {
+        const Point way = direction();
+        return way * between(lo, hi);
+    }
+
 private:
     std::mt19937_64 bits_;
 };
@@ -152,7 +158,7 @@ inline SoakCase soak_case(const SoakBodies& bodies, SoakKind kind, std::uint64_t
     } else {
         const bool jack = seed / 2 % 2 == 0;  // four balls apart, or nine in a heap
         for (int i = 0; i < (jack ? 4 : 9); ++i) {
-            const Point at = dice.direction() * dice.between(0.2, jack ? 1.0 : 0.7);
+            const Point at = dice.vector(0.2, jack ? 1.0 : 0.7);
             c.tool.push_back({{at[0], at[1], at[2]}, i % 3 == 2 ? 0.0 : dice.between(0.05, 0.6)});
         }
     }
