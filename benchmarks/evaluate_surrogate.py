@@ -109,7 +109,7 @@ def _table(found: dict[str, Any], title: str) -> Table:
     for key, score in found["metrics"].items():
         trivial = found["baselines"]["total_triangles"][key]["spearman"]
         values = [score[k] for k in ("spearman", "kendall", "ceiling", "ratio_p5", "ratio_p50", "ratio_p95")]
-        table.add_row(key, *["-" if v is None else f"{v:.3g}" for v in (*values, trivial)])
+        table.add_row(key, *["-" if v is None else f"{v:.2f}" for v in (*values, trivial)])
     return table
 
 

@@ -1,13 +1,21 @@
 """The command line: what users type, what they read, and what a fault looks like to them."""
 
+import json
+import os
+import signal
 import struct
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import ClassVar
 
 import pytest
 
 import tuning.cli
+from hapticlod.bundle import read_bundle
+from hapticlod.dentition import make_dentition
+from hapticlod.metrics import METRIC_KEYS
 from hapticlod.scan import Scan
 
 SPHERE_OFF = "OFF\n4 4 0\n0 0 0\n10 0 0\n0 10 0\n0 0 10\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n"
@@ -140,3 +148,91 @@ class TestOtherFiles:
     def test_an_output_that_would_overwrite_the_scan(self, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert "tetrahedron.off" in refused(capsys, "tune", scan_file, "-o", scan_file)
         assert scan_file.read_text() == SPHERE_OFF
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    folder = tmp_path_factory.mktemp("tuned")
+    write_stl(folder / "jaw.stl", make_dentition(triangles=10_000, seed=0))
+    words = ["tune", "jaw.stl", "-o", "jaw.hlod", "--json", "jaw.json", "--levels", "1-3", "--budget-us", "500"]
+    done = command(folder, words).communicate(timeout=300)
+    return SimpleNamespace(folder=folder, out=done[0], notes=done[1])
+
+
+class TestTuning:
+    """One small run, from a file to a bundle, and what a user does with the result."""
+
+    KEYS: ClassVar = {
+        "levels", "speeds_mm_s", "hysteresis", "l_in_mm", "l_out_mm", "blend_ms", "filter_hz", "predicted", "measured",
+        "baselines", "stages_s",
+    }  # fmt: skip
+
+    def test_json_holds_the_configuration_and_its_numbers(self, tuned: SimpleNamespace) -> None:
+        told = json.loads((tuned.folder / "jaw.json").read_text())
+        assert told.keys() >= self.KEYS
+        assert 1 <= len(told["levels"]) <= 3 and len(told["speeds_mm_s"]) == len(told["levels"]) - 1
+        for level in told["levels"]:
+            assert 1 <= level["triangles"] <= 10_100 and level["cell_mm"] > 0
+        assert told["predicted"].keys() == told["measured"].keys() == set(METRIC_KEYS)
+        assert set(told["baselines"]) == {"finest_only", "coarsest_only", "paper"}
+        assert told["measured"]["loop_cost_p999_us"] <= 500.0
+        assert told["feasible"] is True and told["explanation"]
+        assert all(seconds >= 0 for seconds in told["stages_s"].values()) and "optimise" in told["stages_s"]
+
+    def test_the_table_shows_every_column_at_80_characters(self, tuned: SimpleNamespace) -> None:
+        lines = tuned.out.splitlines()
+        assert max(map(len, lines)) <= 80 and "…" not in tuned.out
+        rule = next(i for i, line in enumerate(lines) if "──" in line)
+        heads = " ".join(" ".join(lines[rule - 2 : rule]).split())
+        for word in ("loop cost", "p99.9 us", "felt error", "JND", "nuity 1/s", "switches", "memory", "feasible"):
+            assert word in heads, heads
+        names = ("finest only", "coarsest only", "the paper's", "tuned")
+        rows = [next(line for line in lines if line.strip().startswith(name)) for name in names]
+        assert all(row.split()[-1] in ("yes", "no") for row in rows)
+        assert rows[-1].split()[-1] == "yes"
+
+    def test_every_stage_is_shown(self, tuned: SimpleNamespace) -> None:
+        for stage in ("ladder", "motions", "optimise", "verify", "baselines", "bundle"):
+            assert stage in tuned.notes
+
+    def test_the_bundle_reads_back(self, tuned: SimpleNamespace) -> None:
+        told = json.loads((tuned.folder / "jaw.json").read_text())
+        held = read_bundle(tuned.folder / "jaw.hlod")
+        assert [level.triangles for level in held.levels] == [level["triangles"] for level in told["levels"]]
+        assert held.manifest["measured"] == told["measured"]
+        assert held.golden_motion is not None and held.golden_record is not None
+
+    def test_inspect_says_what_it_holds(self, tuned: SimpleNamespace, capsys: pytest.CaptureFixture[str]) -> None:
+        assert tuning.cli.run(["inspect", str(tuned.folder / "jaw.hlod")]) == 0
+        shown = capsys.readouterr().out
+        assert "all digests match" in shown and "point" in shown and "jaw.stl" in shown
+
+    def test_nothing_else_is_left(self, tuned: SimpleNamespace) -> None:
+        assert {path.name for path in tuned.folder.iterdir()} - {"cache"} == {"jaw.stl", "jaw.hlod", "jaw.json"}
+
+    def test_ctrl_c_leaves_nothing_half_written(self, tuned: SimpleNamespace) -> None:
+        folder = tuned.folder
+        before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir() if path.is_file()}
+        words = ["tune", "jaw.stl", "-o", "other.hlod", "--json", "other.json", "--seed", "1"]
+        running = command(folder, words)
+        assert running.stderr is not None
+        notes = ""
+        for line in running.stderr:  # until replays are under way
+            notes += line
+            if "motions" in line:
+                break
+        running.send_signal(signal.SIGINT)
+        out, rest = running.communicate(timeout=60)
+        assert running.returncode == 130, notes + rest
+        assert out == "" and "Traceback" not in rest
+        assert rest.splitlines()[-1] == "interrupted; nothing was written"
+        assert {path.name: path.stat().st_mtime_ns for path in folder.iterdir() if path.is_file()} == before
+
+
+def command(folder: Path, words: list[str]) -> subprocess.Popen[str]:
+    """`hapticlod` in a folder, 80 columns wide, with a cache of its own: nothing comes from runs before."""
+    environment = {**os.environ, "COLUMNS": "80", "HAPTICLOD_CACHE": str(folder / "cache")}
+    return subprocess.Popen(
+        [sys.executable, "-m", "tuning.cli", *words], cwd=folder, env=environment, text=True, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )  # fmt: skip

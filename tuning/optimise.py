@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from tuning.quadratic import solve_quadratic
 
@@ -33,6 +33,7 @@ class _State(eqx.Module):
     best_y: Float[Array, " n"]
     best_merit: Float[Array, ""]
     first: Bool[Array, ""]
+    steps: Int[Array, ""]
     done: Bool[Array, ""]
     result: optx.RESULTS
 
@@ -45,8 +46,10 @@ class SequentialQuadratic(optx.AbstractMinimiser):
     """Minimise fn(y) subject to g(y) <= 0, A y <= b and lower <= y <= upper.
 
     `fn(y, args)` returns `(f, g)` (use `has_aux=True`): f a scalar, g of shape (m,). `options` holds `lower` and
-    `upper`, shape (n,), and optionally `linear = (A, b)`, shapes (p, n) and (p,). y0 must satisfy bounds and linear
-    rows. Scale y so that bounds are about one apart, and f and g so that 1 is a large change.
+    `upper`, shape (n,), and optionally `linear = (A, b)`, shapes (p, n) and (p,), and `most_steps`, which ends the
+    search as a success: unlike `max_steps` it may be traced, so that short and long searches share compiled code. y0
+    must satisfy bounds and linear rows. Scale y so that bounds are about one apart, and f and g so that 1 is a large
+    change.
 
     The value returned is the best point met by exact-penalty merit; `aux` of the solution belongs to the last point
     tried, so evaluate g again where it matters. A step whose f or g is not finite is rejected and the region shrinks.
@@ -76,6 +79,7 @@ class SequentialQuadratic(optx.AbstractMinimiser):
             best_y=y,
             best_merit=zero + jnp.inf,
             first=jnp.array(True),
+            steps=jnp.array(0),
             done=jnp.array(False),
             result=optx.RESULTS.successful,
         )
@@ -171,12 +175,13 @@ class SequentialQuadratic(optx.AbstractMinimiser):
         decrease = predicted <= self.atol + self.rtol * jnp.abs(state.value)
         small = (self.norm(step) <= self.atol) | (radius <= self.atol)
         done = ~state.first & (decrease | small) & ~(grown & stuck)
+        done |= state.steps + 1 >= options.get("most_steps", jnp.inf)
         broken = state.first & ~accept
         result = optx.RESULTS.where(broken, optx.RESULTS.nonfinite, optx.RESULTS.successful)
         state = _State(
             state.value, state.excess, state.gradient, state.jacobian, state.hessian, multipliers, penalty, radius,
             step, predicted, jnp.where(better, new_y, state.best_y), jnp.minimum(merit_now, best_merit),
-            jnp.array(False), done, result,
+            jnp.array(False), state.steps + 1, done, result,
         )  # fmt: skip
         return new_y, state, state.excess
 

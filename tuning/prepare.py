@@ -27,7 +27,7 @@ from tuning.space import Space
 Progress = Callable[[str, float], None]
 
 # Seconds per mode of the surrogate's motions, and of those kept apart: the most that replays can afford, see _seconds.
-SEEN_S = (6.0, 4.0, 2.5)
+SEEN_S = (12.0, 6.0, 4.0, 2.5)
 APART_S = (24.0, 12.0, 6.0, 3.0)
 SEEN_REPLAY_S, APART_REPLAY_S = 12.0, 2.5
 REPEATS = 2

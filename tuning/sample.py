@@ -24,8 +24,8 @@ from tuning.replays import Bench, replay_fixed, tour_ladder
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-# Ticks per motion on which other cell sizes are timed.
-_CELL_TICKS = 600
+# Ticks per motion on which other cell sizes are timed, and those before them that put the tool in its place.
+_CELL_TICKS, _SETTLING_TICKS = 480, 32
 
 
 def threads() -> int:
@@ -133,10 +133,14 @@ def _sweep_cells(
     costing: Costing,
     progress: Progress,
 ) -> tuple[Array, Array]:
-    """Cost (S, B, H, 2) and bytes (S, H) of other cell sizes, on the first part of every motion."""
+    """Cost (S, B, H, 2) and bytes (S, H) of other cell sizes, on a part from the middle of every motion.
+
+    Only with all balls and with the fewest: in between, what a cell size changes is interpolated.
+    """
     grid = bench.grid
-    parts = [motion.part(0.0, _CELL_TICKS / motion.loop_hz) for motion in motions]
-    cost = np.zeros((len(chosen), len(grid.balls), len(grid.cell_edges), 2))
+    parts = [_middle(motion, _SETTLING_TICKS + _CELL_TICKS) for motion in motions]
+    subsets = sorted({0, len(grid.balls) - 1})
+    cost = np.zeros((len(chosen), len(subsets), len(grid.cell_edges), 2))
     size = np.zeros((len(chosen), len(grid.cell_edges)))
 
     def one(task: tuple[int, int]) -> None:
@@ -144,13 +148,24 @@ def _sweep_cells(
         rung = chosen[s]
         level = levels[rung] if h == grid.base_cell else bench.level(rung, h)
         size[s, h] = level.bytes
-        for b, balls in enumerate(grid.balls):
-            rows = np.concatenate(replay_fixed(bench, level, rung, balls, parts, 2, h))
-            cost[s, b, h] = dearest_mean(costing.cost_ns(rows, level.bytes))
+        for i, b in enumerate(subsets):
+            replays = replay_fixed(bench, level, rung, grid.balls[b], parts, 1, h)
+            rows = np.concatenate([row[_SETTLING_TICKS:] for row in replays])
+            cost[s, i, h] = dearest_mean(costing.cost_ns(rows, level.bytes))
 
     tasks = [(s, h) for s in range(len(chosen)) for h in range(len(grid.cell_edges))]
     progress("try cell sizes", 0.0)
     with ThreadPoolExecutor(threads()) as pool:
         for count, _ in enumerate(pool.map(one, tasks), 1):
             progress("try cell sizes", count / len(tasks))
-    return cost, size
+    thin = np.log(np.array(grid.balls, dtype=np.float64))
+    share = (thin[0] - thin) / max(thin[0] - thin[-1], 1e-9)
+    log = np.log(np.maximum(cost, 1.0))
+    between = log[:, :1] + share[None, :, None, None] * (log[:, -1:] - log[:, :1])
+    return np.exp(between), size
+
+
+def _middle(motion: Motion, ticks: int) -> Motion:
+    """So many ticks of a motion, or all where it is shorter."""
+    first = max(motion.ticks - ticks, 0) // 2
+    return motion.part(first / motion.loop_hz, min(first + ticks, motion.ticks) / motion.loop_hz)

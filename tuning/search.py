@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -29,7 +29,7 @@ STARTS = 4
 MARGIN = 0.98  # of the budget that the surrogate may use
 # Switching is sharpened in stages: a soft trigger sees further, a sharp one counts right (PERCEPTION.md section 2).
 SOFT, SHARP = 6.0, 20.0
-MOST_STEPS = 20
+SOFT_STEPS, MOST_STEPS = 8, 20
 _FEASIBLE = 1e-3
 
 
@@ -101,6 +101,7 @@ def value_and_excess(x: Float[Array, " n"], args: Any) -> tuple[Array, Array]:
 @eqx.filter_jit
 def _solve(x0: Array, measured: LadderMeasurement, problem: Problem, sharpness: Array) -> Array:
     options = {"lower": jnp.zeros_like(x0), "upper": jnp.ones_like(x0), "linear": (problem.rows, problem.row_limits)}
+    options["most_steps"] = jnp.where(sharpness < SHARP, SOFT_STEPS, MOST_STEPS)
     solver = SequentialQuadratic()
     args = (measured, problem, sharpness)
     found = optx.minimise(value_and_excess, solver, x0, args, options, has_aux=True, max_steps=MOST_STEPS, throw=False)
@@ -115,6 +116,7 @@ class Search:
 
     def __init__(self, measured: LadderMeasurement, space: Space, budget_us: float) -> None:
         self._measured, self._space, self._budget_us = measured, space, budget_us
+        self._compiled = False
 
     def _problem(self, levels: int, limits: Limits) -> Problem:
         low, high = self._space.log_bounds
@@ -126,33 +128,59 @@ class Search:
             jnp.asarray(rows), jnp.asarray(row_limits),
         )  # fmt: skip
 
-    def best(
-        self, levels: int, limits: Limits, seed: int, extra: Sequence[NDArray[np.float64]] = (), starts: int = STARTS
-    ) -> Found:
-        """The best of several starts.
+    def best(self, levels: int, limits: Limits, seed: int, near: NDArray[np.float64] | None = None) -> Found:
+        """The best of several starts; of the one near by, where it is given."""
+        return self.best_of_each([levels], limits, seed, {} if near is None else {levels: near})[levels]
+
+    def best_of_each(
+        self, counts: Sequence[int], limits: Limits, seed: int, near: Mapping[int, NDArray[np.float64]] | None = None
+    ) -> dict[int, Found]:
+        """The best configuration of every level count: soft from many starts, then sharp from the best of them.
+
+        Args:
+            counts: level counts.
+            limits: what must hold.
+            seed: of the starts.
+            near: by level count, a point to start from instead.
 
         Raises:
             ArithmeticError: the objective is finite from no start; it names the terms that are not.
         """
+        near = near or {}
         held = Limits(MARGIN * limits.budget_us, limits.memory_mb)
 
-        def solved(start: NDArray[np.float64], sharpness: float) -> Found:
+        def solved(task: tuple[int, NDArray[np.float64], float]) -> Found:
+            levels, start, sharpness = task
             with jax.enable_x64(True):  # of this thread
                 x0 = jnp.asarray(self._space.ordered(start, levels))
                 x = np.asarray(_solve(x0, self._measured, self._problem(levels, held), jnp.asarray(sharpness)))
             return self.look(self._space.ordered(x, levels), levels, limits)
 
-        points = [*extra, *self._space.sample(starts, levels, seed)] if starts else list(extra)
-        if len(points) > 1:
-            head = solved(points[0], SOFT)  # compiles
-            with ThreadPoolExecutor(threads()) as pool:
-                found = [head, *pool.map(lambda point: solved(point, SOFT), points[1:])]
-            finite = [f for f in found if np.isfinite(f.objective)]
-            if not finite:
-                broken = sorted(name for name, value in found[0].predicted.items() if not np.isfinite(value))
-                raise ArithmeticError(f"{levels} levels: not finite from any start: {', '.join(broken)}")
-            points = [min(finite, key=lambda f: f.rank).x]
-        return solved(points[0], SHARP)
+        soft = [(k, x, SOFT) for k in counts if k not in near for x in self._space.sample(STARTS, k, seed)]
+        heads = dict(near)
+        with ThreadPoolExecutor(threads()) as pool:
+            self._compile(pool, counts[0], held)
+            found = list(zip((k for k, _, _ in soft), pool.map(solved, soft), strict=True))
+            for levels in counts:
+                if levels not in heads:
+                    heads[levels] = _first([f for k, f in found if k == levels], levels).x
+            sharp = [(k, heads[k], SHARP) for k in counts]
+            return dict(zip(counts, pool.map(solved, sharp), strict=True))
+
+    def _compile(self, pool: ThreadPoolExecutor, levels: int, limits: Limits) -> None:
+        """Both compiled functions at the same time; a thread each, since concurrent first calls would compile twice."""
+        if self._compiled:
+            return
+        x = self._space.sample(1, levels, 0)[0]
+
+        def build() -> None:
+            with jax.enable_x64(True):
+                _solve(jnp.asarray(x), self._measured, self._problem(levels, limits), jnp.asarray(SOFT))
+
+        wait = pool.submit(build)
+        self.look(x, levels, limits)
+        wait.result()
+        self._compiled = True
 
     def look(self, x: NDArray[np.float64], levels: int, limits: Limits) -> Found:
         """What the surrogate says of x."""
@@ -165,3 +193,12 @@ class Search:
             np.log(predicted["memory_mb"] / limits.memory_mb),
         )
         return Found(np.asarray(x), float(objective(predicted, self._budget_us)), float(excess), predicted)
+
+
+def _first(found: Sequence[Found], levels: int) -> Found:
+    """The best that is finite."""
+    finite = [f for f in found if np.isfinite(f.objective)]
+    if not finite:
+        broken = sorted(name for name, value in found[0].predicted.items() if not np.isfinite(value))
+        raise ArithmeticError(f"{levels} levels: not finite from any start: {', '.join(broken)}")
+    return min(finite, key=lambda f: f.rank)

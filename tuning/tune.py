@@ -19,7 +19,7 @@ from tuning.compile_cache import keep_compiled
 from tuning.explain import explain
 from tuning.prepare import Prepared, Progress, Stages, prepare
 from tuning.sample import Costing
-from tuning.search import STARTS, Limits, Search, objective
+from tuning.search import Found, Limits, Search, objective
 from tuning.verify import Verifier
 
 ROUNDS = 3
@@ -146,25 +146,26 @@ def _explore(
     made: list[Candidate] = []
     warm: dict[int, np.ndarray] = {}
 
-    def attempt(count: int, correction: float, turn: int) -> Candidate:
-        stages("optimise", len(made) / (len(counts) + LEADERS))
-        extra = [warm[count]] if count in warm else []
-        found = search.best(count, _limits(station, correction), seed + turn, extra, 0 if extra else STARTS)
+    def verified(count: int, found: Found) -> Candidate:
+        stages("verify in the runtime", len(made) / (len(counts) + LEADERS))
         warm[count] = found.x
         config = ready.space.config(found.x, count, f"{count} levels")
-        stages("verify in the runtime", len(made) / (len(counts) + LEADERS))
         metrics = verifier.measured(config)
         value = float(objective(metrics, station.budget_us))
         made.append(Candidate(config, found.predicted, metrics, value, _holds(metrics, station)))
         return made[-1]
 
-    latest = {count: attempt(count, 1.0, 0) for count in counts}
+    stages("optimise", 0.0)
+    every = search.best_of_each(counts, _limits(station, 1.0), seed)
+    latest = {count: verified(count, found) for count, found in every.items()}
     for turn in range(1, ROUNDS):
         corrections = {count: _correction(latest[count], station) for count in counts}
         wrong = [count for count in counts if corrections[count] is not None]
         # Those that could still win: the best by what was measured, whether or not they held the budget.
         for count in sorted(wrong, key=lambda k: latest[k].objective)[:LEADERS]:
-            latest[count] = attempt(count, float(corrections[count] or 1.0), turn)
+            stages("optimise", len(made) / (len(counts) + LEADERS))
+            limits = _limits(station, float(corrections[count] or 1.0))
+            latest[count] = verified(count, search.best(count, limits, seed + turn, warm[count]))
     return made
 
 

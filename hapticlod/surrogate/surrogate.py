@@ -122,7 +122,9 @@ def predict(
     work = jax.ops.segment_sum(mixed(feel.work_mj) * ticks_per_bin, measured.cycle, measured.cycles)[1:]
     cycles = jax.ops.segment_sum(jnp.ones_like(in_contact), measured.cycle, measured.cycles)[1:]
     work = jnp.where(cycles > 0, work, -1e3)
-    peak_width, jump_width = 0.02 * jnp.max(peaks) + 1e-4, 0.005
+    # Widths are the ladder's, not the configuration's: they are not differentiated.
+    peak_width = 0.02 * jnp.max(feel.peak_n.nodes[0]) + 1e-4
+    depth_width, jump_width = 0.01 * jnp.max(feel.depth_mm.nodes[0]) + 1e-6, 0.005
     last_jump = 1 - 0.5 / jnp.maximum(switched, 1.0)
     # p99.9 apart from the others: the optimiser asks for no other, and what nobody asks for is not computed.
     limit_us = costs.quantiles_us((0.999,), spread)[0]
@@ -151,7 +153,7 @@ def predict(
         "mapping_hit_rate": 1 - jnp.sum(events.flow * events.lost) / jnp.maximum(tried, 1e-6),
         "false_release_per_min": (total(mixed(feel.release)) + jnp.sum(losing)) * 60 / measured.seconds,
         "pop_through_per_min": total(mixed(feel.pop)) * 60 / measured.seconds,
-        "penetration_p99_mm": smooth_quantile(depths, touching, 0.99, 0.01 * jnp.max(depths) + 1e-6),
+        "penetration_p99_mm": smooth_quantile(depths, touching, 0.99, depth_width),
         "energy_out_mj": jnp.where(jnp.any(cycles > 0), smooth_max(work, 0.02), 0.0),
         "memory_mb": memory_mb(measured, parameters),
     }
