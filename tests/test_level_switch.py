@@ -123,8 +123,8 @@ def test_the_papers_mapping_misses(shape: str, request: pytest.FixtureRequest) -
     missed = rows["mapping"][changed] == MAPPED_MISS
     assert changed.sum() > 300
     assert 0.3 < missed.mean() < 0.95
-    # What is kept on a miss may lie behind the new surface: then the contact is gone, though the hand still presses.
-    assert (rows["contact"][changed] == 0).mean() > 0.2
+    # On a miss the SCP is kept, in front of the new surface: it drops onto it, and the contact is hardly ever gone.
+    assert (rows["contact"][changed] == 0).mean() < 0.02
 
 
 @pytest.mark.parametrize("name", ["0", "0.5", "burr"])

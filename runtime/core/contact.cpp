@@ -236,12 +236,27 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
             step = solution.y - local_;
             length = norm(step);
         }
+        if (!solution.feasible) {
+            // Walls that leave no more room than rounding takes: no plane may ask for more than there is, and the next
+            // aim is nearer, so that rounding is smaller.
+            for (int i = 0; i < planes_.count; ++i) {
+                ContactPlane& p = planes_.planes[i];
+                p.offset = std::min(p.offset, dot(p.normal, local_));
+            }
+            const Vec3 to_hip = hip - centre - local_;
+            const double near = std::min(1.0, candidates_.reach() / norm(to_hip));
+            for (double tolerance = tolerances_.settled; !solution.feasible && tolerance < tolerances_.skin;
+                 tolerance *= 4.0)
+                solution = nearest_feasible(planes_, local_ + to_hip * near, false, tolerance);
+            step = solution.y - local_;
+            length = norm(step);
+            if (!solution.feasible) break;
+        }
         out.active = solution.active;
         for (int i = 0; i < solution.active; ++i) {
             out.planes[i] = planes_.planes[solution.index[i]];
             out.multiplier[i] = solution.multiplier[i];
         }
-        if (!solution.feasible) break;
         if (length <= settled) {
             out.converged = true;
             break;
@@ -283,6 +298,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         // On its way from one contact to the next: the force stays, along what is left of the way.
         if (const Vec3 left = x_ - hip; out.active == 0 && touched_ && norm(left) > tolerances_.settled) {
             out.active = 1;
+            out.between = true;
             out.planes[0] = last_touch_;
             out.multiplier[0] = norm(left);
             out.planes[0].normal = left * (1.0 / out.multiplier[0]);

@@ -48,6 +48,7 @@ struct Contact {
     ContactPlane planes[3];
     double multiplier[3] = {};  // scp = hip + sum multiplier_k planes[k].normal
     bool converged = true;
+    bool between = false;  // cut short on the way from one contact to the next: planes[0] is made up
 };
 
 class ContactSolver {

@@ -77,7 +77,7 @@ double segment_hit(const Vec3& p, const Vec3& q, const Triangle& t) {
     const double s = dot(ap, n) / slope;
     if (!(s >= 0.0 && s <= 1.0)) return 2.0;
     const Vec3 m = cross(ap, d);
-    const double v = -dot(ac, m) / slope, w = dot(ab, m) / slope;
+    const double v = dot(ac, m) / slope, w = -dot(ab, m) / slope;
     return v >= 0.0 && w >= 0.0 && v + w <= 1.0 ? s : 2.0;
 }
 

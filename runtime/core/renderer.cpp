@@ -213,16 +213,20 @@ bool Renderer::State::get_out(std::uint32_t level, double bound_mm, bool& moved,
     const SurfaceSide side = surface_side(solver, used, bound_mm, counters);
     moved = side.found && side.distance < used[side.ball].kept;
     if (!moved || place_on_closest(solver, used, 2.0 * bound_mm, nullptr, counters)) return true;
-    // Its balls want out on different sides, of a thin plate perhaps: any straight way out will do.
+    // Its balls want out on different sides, of a thin plate perhaps: any straight way out will do, a short one first.
+    double size = 0.0;
+    for (const SolverBall& ball : used) size = std::max(size, norm(ball.offset) + ball.kept);
+    const double longest = levels[level].closed ? extent_mm : bound_mm;
     const Vec3 n = side.normal;
-    for (const Vec3& way :
-         {n, -n, Vec3{0, 0, 1}, Vec3{0, 0, -1}, Vec3{0, 1, 0}, Vec3{0, -1, 0}, Vec3{1, 0, 0}, Vec3{-1, 0, 0}}) {
-        ContactMemory out;
-        out.normal = way;
-        const double far = levels[level].closed ? extent_mm : bound_mm;
-        if (mapper.rest_on_line(solver, out, 0.0, far, true, used, counters)) return true;
+    for (double way_mm = std::min(2.0 * size, longest);; way_mm = std::min(2.0 * way_mm, longest)) {
+        for (const Vec3& way :
+             {n, -n, Vec3{0, 0, 1}, Vec3{0, 0, -1}, Vec3{0, 1, 0}, Vec3{0, -1, 0}, Vec3{1, 0, 0}, Vec3{-1, 0, 0}}) {
+            ContactMemory out;
+            out.normal = way;
+            if (mapper.rest_on_line(solver, out, 0.0, way_mm, true, used, counters)) return true;
+        }
+        if (way_mm >= longest) return false;
     }
-    return false;
 }
 
 // First tick: where the tool overlaps the surface, contact begins at the nearest place outside it, softly.
@@ -304,6 +308,7 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, double moti
     contact = free;
     shade = {};
     if (contact.active == 0) return;
+    if (contact.between) return;
     shade = shading(level);
     int strongest = 0;
     for (int i = 1; i < contact.active; ++i)

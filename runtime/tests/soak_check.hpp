@@ -90,8 +90,9 @@ private:
         return {};
     }
 
-    // The orientation that the tool has: the last valid one that was not held.
+    // The orientation that the tool has: the last valid one. On its way there (TURN_HELD) it is not known.
     void follow_turn(const SoakStep& step, const TickRecord& row) {
+        facing_known_ = (row.errors & kErrTurnHeld) == 0 && (facing_known_ || (row.errors & kErrHipNotFinite) == 0);
         if ((row.errors & (kErrHipNotFinite | kErrTurnHeld)) == 0)
             std::copy(step.pose.orientation, step.pose.orientation + 4, q_);
     }
@@ -111,7 +112,7 @@ private:
         now.off = case_.tool[0].radius_mm > 0.0 || row.contact == 0 ? scp : scp + pull * (5.0 * kSoakSlackMm / depth);
         const Place before = anew ? Place{} : place_;
         place_ = now;
-        if (!now.known) return {};
+        if (!now.known || (case_.tool.size() > 1 && !facing_known_)) return {};
         const bool sampled = tally_.ticks % thinning_ == 0;
         const std::size_t used = std::min<std::size_t>(case_.config.balls[row.level], case_.tool.size());
         for (std::size_t i = 0; i < used; ++i) {
@@ -191,6 +192,7 @@ private:
     std::uint64_t thinning_;
     SoakTally tally_;
     TickRecord last_{};
+    bool facing_known_ = true;
     Place place_;
     double last_time_s_ = 0.0, blend_left_s_ = 0.0;
     double q_[4] = {1.0, 0.0, 0.0, 0.0};
