@@ -28,7 +28,7 @@ Progress = Callable[[str, float], None]
 
 # Seconds per mode of the surrogate's motions, and of those kept apart: the most that replays can afford, see _seconds.
 SEEN_S = (12.0, 6.0, 4.0, 2.5)
-APART_S = (24.0, 12.0, 6.0, 3.0)
+APART_S = (12.0, 8.0, 6.0, 3.0)
 SEEN_REPLAY_S, APART_REPLAY_S = 12.0, 2.5
 REPEATS = 2
 NEAR_MM = 2.0

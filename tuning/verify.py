@@ -22,7 +22,7 @@ from tuning.baselines import finest_only
 from tuning.sample import Costing, threads
 
 # A tick's time is its least over so many runs: other programs take time, the tick does not.
-REPEATS = 3
+REPEATS = 2
 
 
 @dataclass
