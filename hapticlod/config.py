@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 MAPPINGS = ("paper", "two-sided")  # the position is the runtime's code (core/layout.hpp)
 POLICIES = ("velocity", "distance")
 
-# Work of a tick (in triangle distances, TickCounters::work() in the core) per microsecond of budget at which the tick is
-# cut short. 30 ns each at most on a 3 GHz core (docs/decisions.md), and one and a half budgets: what meets its budget is never
+# Work (in triangle distances, TickCounters::work() in the core) per microsecond of budget at which a tick is cut short:
+# 30 ns each at most on a 3 GHz core (docs/decisions.md), and one and a half budgets. What meets its budget is never
 # cut, what misses it by far does not stall the loop.
 WORK_PER_US = 50.0
 

@@ -48,7 +48,8 @@ HAPTICLOD_INLINE void nearest(const float (*v)[8], const float shift[3], const f
     CORNER(c.x, 6), CORNER(c.y, 7), CORNER(c.z, 8);
 #undef CORNER
     V8 ab, ac, bc, ap, bp, n;
-    V8_SUB(ab, b, a), V8_SUB(ac, c, a), V8_SUB(bc, c, b), ap.x = -a.x, ap.y = -a.y, ap.z = -a.z, bp.x = -b.x, bp.y = -b.y, bp.z = -b.z;
+    V8_SUB(ab, b, a), V8_SUB(ac, c, a), V8_SUB(bc, c, b), ap.x = -a.x, ap.y = -a.y, ap.z = -a.z, bp.x = -b.x,
+                                                          bp.y = -b.y, bp.z = -b.z;
     V8_CROSS(n, ab, ac);
     F8 t;
     V8 r;
