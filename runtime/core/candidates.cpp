@@ -181,6 +181,11 @@ void Candidates::list(std::uint32_t block, std::uint32_t ball, double bound) {
             bound = std::max(bound, last_keys_[k.index] - last_path_);
         }
     }
+    // A new pair this near will be looked at in this tick or the next: its triangles are on their way meanwhile.
+    if (pair.stamp == kListed && bound < near_) {
+        const char* line = reinterpret_cast<const char*>(&level_->view.blocks[block]);
+        for (std::size_t k = 0; k < sizeof(TriBlock); k += 64) __builtin_prefetch(line + k);
+    }
     keys_[block_count_] = bound;
     pairs_[block_count_++] = pair;
 }
@@ -283,6 +288,7 @@ double Candidates::gather(const Vec3& centre, double reach, double path, std::sp
     last_count_ = block_count_;
     last_evaluated_ = evaluated_;
     last_path_ = path;
+    near_ = 0.5 * reach;
     bool complete = false;
     for (int attempt = 0; attempt < 13; ++attempt) {
         block_count_ = 0;

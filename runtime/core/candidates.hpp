@@ -110,7 +110,7 @@ private:
     std::vector<double> balls_clear_until_, nodes_clear_until_, nodes_looked_at_;
     std::uint32_t block_count_ = 0, last_count_ = 0, evaluated_ = 0, last_evaluated_ = 0, epoch_ = 0, table_mask_ = 0;
     Vec3 centre_;
-    double reach_ = 0.0, turned_ = 0.0, odometer_ = 0.0, last_path_ = 0.0;
+    double reach_ = 0.0, turned_ = 0.0, odometer_ = 0.0, last_path_ = 0.0, near_ = 0.0;
     bool valid_ = false;
 };
 

@@ -80,6 +80,9 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
         norm(Vec3{h.bbox_max[0] - h.bbox_min[0], h.bbox_max[1] - h.bbox_min[1], h.bbox_max[2] - h.bbox_min[2]});
     if (!(s.extent_mm > 0.0)) return "level 0 has no extent";
     s.tolerances = Tolerances::of_extent(s.extent_mm);
+    // A closed surface has no cracks to bridge.
+    const bool closed = std::all_of(s.levels.begin(), s.levels.end(), [](const ActiveLevel& l) { return l.closed; });
+    const double crack_mm = closed ? 0.0 : config.crack_mm;
     s.tool_centres.clear();
     s.balls.clear();
     for (const BallData& b : tool) {
@@ -87,7 +90,7 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
         if (!centre.finite() || !(b.radius_mm >= 0.0) || !std::isfinite(b.radius_mm))
             return "a ball of the tool is not finite or has a negative radius";
         s.tool_centres.push_back(centre);
-        const double kept = std::max(b.radius_mm, config.crack_mm) + s.tolerances.skin;
+        const double kept = std::max(b.radius_mm, crack_mm) + s.tolerances.skin;
         s.balls.push_back({centre, b.radius_mm, kept});
     }
     s.turned.resize(s.balls.size());
