@@ -44,7 +44,7 @@ test-sanitized: setup  ## C++ tests under AddressSanitizer and UndefinedBehavior
 	@ctest --test-dir $(SANITIZED) --output-on-failure --no-tests=error
 
 test-python: build  ## Python tests
-	@$(BIN)/python -m pytest -q
+	@$(BIN)/python -m pytest -q -n auto --dist worksteal
 
 lint: build  ## ruff, pyright, clang-format: nothing is changed
 	@$(BIN)/ruff check $(PY_DIRS)

@@ -234,5 +234,10 @@ def command(folder: Path, words: list[str]) -> subprocess.Popen[str]:
     environment = {**os.environ, "COLUMNS": "80", "HAPTICLOD_CACHE": str(folder / "cache")}
     return subprocess.Popen(
         [sys.executable, "-m", "tuning.cli", *words], cwd=folder, env=environment, text=True, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        stderr=subprocess.PIPE, preexec_fn=heed_interrupts,
     )  # fmt: skip
+
+
+def heed_interrupts() -> None:
+    """A shell's background job ignores Ctrl-C, and so would what the tests start in one."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
