@@ -1,6 +1,5 @@
 """The runtime's SCP against the independent float64 solver of contact_oracle.py, tick by tick."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import contact_shapes as shapes
@@ -8,40 +7,16 @@ import numpy as np
 import pytest
 from contact_core import Core, point_or_ball
 from contact_oracle import Oracle
+from oracle_comparison import AGREE_MM, Comparison, compare_with
 
-AGREE_MM = 1e-3
 SPEEDS_MM_S = (40.0, 500.0)
 
 
-@dataclass
-class Comparison:
-    """Ticks that differ by more than AGREE_MM; how many of those are no local minimum; deepest penetration."""
-
-    ticks: int
-    touching: int
-    differ: int
-    wrong: int
-    deepest_mm: float
-
-
 def compare(mesh: shapes.Mesh, radius_mm: float, hip_mm: np.ndarray, crack_mm: float = 0.0) -> Comparison:
-    """Runs both over one path. The oracle carries its own state; where they part it goes on from the runtime's."""
+    """One ball along a path. Over a crack it may sink by a part of the crack's width: there depth is not judged."""
     tool = point_or_ball(radius_mm)
     rows = Core([mesh], tool, crack_mm=crack_mm).replay(hip_mm)
-    oracle = Oracle(mesh[0], mesh[1], tool, crack_mm)
-    x = hip_mm[0].copy()
-    differ = wrong = 0
-    deepest = np.inf
-    for scp, hip in zip(rows["scp_mm"], hip_mm, strict=True):
-        answer = oracle.solve(x, hip)
-        x = answer.reference_mm
-        if crack_mm == 0.0:
-            deepest = min(deepest, oracle.clearance(scp, 0.1))
-        if np.linalg.norm(answer.scp_mm - scp) > AGREE_MM:
-            differ += 1
-            wrong += oracle.unheld(scp, hip) > 0.02
-            x = oracle.start_from(scp.copy(), hip)
-    return Comparison(len(rows), int(rows["contact"].sum()), differ, wrong, deepest)
+    return compare_with(Oracle(mesh[0], mesh[1], tool, crack_mm), rows, hip_mm, judge_depth=crack_mm == 0.0)
 
 
 def over(half_mm: float, low_mm: float, high_mm: float, seed: int, count: int = 12) -> np.ndarray:

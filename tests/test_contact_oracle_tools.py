@@ -3,7 +3,6 @@
 test_contact_oracle.py has single balls on simple shapes, cracks and a crop of a jaw.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import contact_shapes as shapes
@@ -11,9 +10,9 @@ import numpy as np
 import pytest
 from contact_core import Core, point_or_ball
 from contact_oracle import Oracle
+from oracle_comparison import AGREE_MM, Comparison, compare_with
 from test_contact_motion import random_turns, rotated
 
-AGREE_MM = 1e-3
 TURN_HELD, NOT_CONVERGED = 1 << 10, 1 << 3
 
 TOOLS = {
@@ -22,33 +21,10 @@ TOOLS = {
 }
 
 
-@dataclass
-class Comparison:
-    """Ticks that differ by more than AGREE_MM; how many of those are no local minimum; the deepest penetration."""
-
-    touching: int
-    differ: int
-    wrong: int
-    deepest_mm: float
-
-
 def compare(mesh: shapes.Mesh, tool: np.ndarray, turn: np.ndarray, hip_mm: np.ndarray) -> Comparison:
     """A tool in one orientation (4,) along a path, against the oracle with turned balls."""
-    turns = np.tile(turn, (len(hip_mm), 1))
-    rows = Core([mesh], tool).replay(hip_mm, turns)
-    oracle = Oracle(*mesh, turned_tool(tool, turn))
-    x = hip_mm[0].copy()
-    differ = wrong = 0
-    deepest = np.inf
-    for scp, hip in zip(rows["scp_mm"], hip_mm, strict=True):
-        answer = oracle.solve(x, hip)
-        x = answer.reference_mm
-        deepest = min(deepest, oracle.clearance(scp, 0.1))
-        if np.linalg.norm(answer.scp_mm - scp) > AGREE_MM:
-            differ += 1
-            wrong += oracle.unheld(scp, hip) > 0.02
-            x = oracle.start_from(scp.copy(), hip)
-    return Comparison(int(rows["contact"].sum()), differ, wrong, deepest)
+    rows = Core([mesh], tool).replay(hip_mm, np.tile(turn, (len(hip_mm), 1)))
+    return compare_with(Oracle(*mesh, turned_tool(tool, turn)), rows, hip_mm)
 
 
 def turned_tool(tool: np.ndarray, turn: np.ndarray) -> np.ndarray:

@@ -113,11 +113,6 @@ class Space:
         low, high = self.log_bounds
         return split(low + np.asarray(x, dtype=np.float64) * (high - low), self.most_levels)
 
-    def parameters(self, x: Float[Array, " n"], levels) -> Parameters:
-        """Differentiable. `levels`: how many are used, an integer scalar."""
-        low, high = self.log_bounds
-        return decode(jnp.asarray(low + x * (high - low)), levels, self.most_levels)
-
     def order_rows(self, levels: int) -> tuple[NDArray, NDArray]:
         """(A, b) of A x <= b: triangles and balls fall, speeds rise. Rows of unused levels are 0 <= 1."""
         k, rows, limits = self.most_levels, [], []

@@ -176,8 +176,7 @@ void Candidates::list(std::uint32_t block, std::uint32_t ball, double bound) {
     if (last_evaluated_ > 0) {
         const Known& k = known(block, ball);
         if (k.epoch == epoch_) {
-            Pair& before = last_pairs_[k.index];
-            pair = before;
+            pair = last_pairs_[k.index];
             bound = std::max(bound, last_keys_[k.index] - last_path_);
         }
     }

@@ -3,18 +3,12 @@
 
 #include <functional>
 
+#include "tests/sanitized.hpp"
 #include "tests/soak_run.hpp"
 
 namespace hapticlod::test {
 namespace {
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-#define HAPTICLOD_SANITIZED 1
-#elif defined(__has_feature)
-#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
-#define HAPTICLOD_SANITIZED 1
-#endif
-#endif
 #if defined(HAPTICLOD_SANITIZED)
 constexpr std::uint64_t kShare = 20;  // of the ticks: sanitizers cost that much
 #else

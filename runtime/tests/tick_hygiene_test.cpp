@@ -21,14 +21,7 @@
 #include "core/occupancy.hpp"
 #include "core/renderer.hpp"
 #include "core/triangle.hpp"
-
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-#define HAPTICLOD_SANITIZED 1
-#elif defined(__has_feature)
-#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
-#define HAPTICLOD_SANITIZED 1
-#endif
-#endif
+#include "tests/sanitized.hpp"
 
 #if !defined(HAPTICLOD_SANITIZED) && defined(__GLIBC__)
 #define HAPTICLOD_INTERPOSED 1
