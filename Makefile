@@ -33,15 +33,15 @@ build: setup  ## the station, the Python module, tests and benchmarks
 test: lint test-cpp test-sanitized test-python  ## everything CI runs
 
 test-cpp: build  ## C++ tests, release build
-	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error
+	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error -j 2
 
 test-sanitized: setup  ## C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer
 	@mkdir -p build
-	@cmake -S . -B $(SANITIZED) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=RelWithDebInfo -DHAPTICLOD_PYTHON=OFF \
+	@cmake -S . -B $(SANITIZED) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
 	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) \
 	    -DHAPTICLOD_SANITIZE=address,undefined >$(SANITIZED).log 2>&1 || { cat $(SANITIZED).log; exit 1; }
 	@cmake --build $(SANITIZED)
-	@ctest --test-dir $(SANITIZED) --output-on-failure --no-tests=error
+	@ctest --test-dir $(SANITIZED) --output-on-failure --no-tests=error -j 2
 
 test-python: build  ## Python tests
 	@$(BIN)/python -m pytest -q -n auto --dist worksteal
