@@ -86,10 +86,10 @@ def crop(data_dir: Path) -> shapes.Mesh:
     return (scan.vertices - scan.centre_mm).astype(np.float32), scan.faces
 
 
-@pytest.mark.parametrize(("speed_mm_s", "most_differ"), [(20.0, 2), (500.0, 6)])
+@pytest.mark.parametrize("speed_mm_s", [20.0, 500.0])
 @pytest.mark.parametrize("radius_mm", [0.0, 0.1, 0.5, 1.0, 3.0])
-def test_real_crop(crop: shapes.Mesh, radius_mm: float, speed_mm_s: float, most_differ: int) -> None:
-    """Between bumps there are several local minima; which one is reached may differ, never that it is one."""
+def test_real_crop(crop: shapes.Mesh, radius_mm: float, speed_mm_s: float) -> None:
+    """Between bumps there are several local minima: on the same way the same one is reached, even at 0.9 mm a tick."""
     vertices, faces = crop
     corners = vertices.astype(np.float64)[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -102,6 +102,6 @@ def test_real_crop(crop: shapes.Mesh, radius_mm: float, speed_mm_s: float, most_
     ticks = 120 if radius_mm < 3.0 else 60 if speed_mm_s < 100.0 else 40
     result = compare(crop, radius_mm, shapes.wander(path, speed_mm_s, ticks))
     assert result.touching > 5
-    assert result.differ <= most_differ
+    assert result.differ == 0
     assert result.wrong == 0
     assert result.deepest_mm > -AGREE_MM

@@ -12,10 +12,11 @@ constexpr int kMaxIterations = 64;
 // A long slide over many small constraints settles slowly: from this iteration on a step counts as settled that is
 // longer each time, up to a hundred times (below 1 um on models up to 120 mm).
 constexpr int kPatience = 10;
+constexpr double kShortStep = 0.1;  // mean edges
 
 // Sliding over a rounded edge converges linearly, slowly where the HIP is near the centre of curvature. Successive
-// steps in one direction tell the rate (Aitken), and the step is stretched to where they lead; it is swept all the
-// same.
+// steps in one direction tell the rate (Aitken), and a short step is stretched to where they lead; it is swept all the
+// same. A long one is not: it could leap over the minimum it would have come to.
 class Slide {
 public:
     double stretch(const Vec3& step, double length) {
@@ -167,7 +168,7 @@ double ContactSolver::sweep(const Vec3& step, std::span<const SolverBall> balls,
             if (separated(t, ball.kept)) continue;
             const double reach = std::min(first, 1.0);
             const double at =
-                time_of_touch(t, local_, step * reach, ball.kept - 0.1 * tolerances_.skin, 0.02 * tolerances_.skin);
+                time_of_touch(t, local_, step * reach, ball.kept - 0.1 * tolerances_.skin, 1e-3 * tolerances_.skin);
             if (at <= 1.0) first = at * reach;
         }
     }
@@ -183,6 +184,49 @@ double ContactSolver::gather(double reach, std::span<const SolverBall> balls, Ti
     const double path = path_;
     path_ = 0.0;
     return candidates_.gather(x_, reach, path, balls, counters);
+}
+
+// Lists what is near for a further way, twice as far each time. False: so much lies around that none is left to move.
+bool ContactSolver::gather_further(double& wanted, std::span<const SolverBall> balls, TickCounters& counters) {
+    const double granted = gather(wanted, balls, counters);
+    if (granted < wanted) counters.errors |= kErrCandidates;
+    // A long way to go needs longer steps, unless so much lies around that they cost more than they save.
+    if (candidates_.block_count() < Candidates::kMaxBlocks / 16) wanted = std::min(2.0 * wanted, 64.0 * cell_mm_);
+    return granted > 4.0 * tolerances_.skin;
+}
+
+// Along the step as far as nothing is met, whatever the reach of the candidates: where that ends, what lies further is
+// gathered on the way. True: all of it.
+bool ContactSolver::travel(Vec3 step, double& wanted, int& iteration, std::span<const SolverBall> balls,
+                           TickCounters& counters) {
+    for (;;) {
+        // Clip to the ball the candidates are complete for: |local + t step| = limit.
+        const double limit = candidates_.reach() - 2.0 * tolerances_.skin;
+        double whole = 1.0;
+        if (norm2(local_ + step) > limit * limit) {
+            const double a = norm2(step), b = dot(local_, step), c = norm2(local_) - limit * limit;
+            whole = std::clamp((-b + std::sqrt(std::max(b * b - a * c, 0.0))) / a, 0.0, 1.0);
+        }
+        const Vec3 part = step * whole;
+        const double t = std::min(sweep(part, balls, counters), 1.0);
+        x_ += part * t;
+        path_ += norm(part) * t;
+        if (t < 1.0) return false;
+        local_ += part;
+        if (whole == 1.0) return true;
+        if (counters.work() > work_limit_ || ++iteration == kMaxIterations) return false;
+        ++counters.iterations;
+        const Vec3 centre = candidates_.centre();
+        if (!gather_further(wanted, balls, counters)) return false;
+        next_stamp();
+        local_ = x_ - candidates_.centre();
+        const Vec3 shift = candidates_.centre() - centre;
+        for (int i = 0; i < planes_.count; ++i) {
+            planes_.planes[i].offset -= dot(planes_.planes[i].normal, shift);
+            planes_.planes[i].point = planes_.planes[i].point - shift;
+        }
+        step = step - part;
+    }
 }
 
 Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> balls, double motion_mm,
@@ -203,13 +247,8 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         const double settled = tolerances_.settled * std::min(std::exp2(std::max(k - kPatience, 0)), 100.0);
         // Candidates are good while x and everything within touching distance stays inside their reach.
         if (!candidates_.valid() || norm(x_ - candidates_.centre()) > 0.75 * (candidates_.reach() - slack)) {
-            const double granted = gather(wanted, balls, counters);
-            if (granted < wanted) counters.errors |= kErrCandidates;
-            // A long way to go needs longer steps, unless so much lies around that they cost more than they save.
-            if (candidates_.block_count() < Candidates::kMaxBlocks / 16)
-                wanted = std::min(2.0 * wanted, 64.0 * cell_mm_);
             out.active = 0;  // planes of the last step are in the old frame
-            if (granted <= 2.0 * slack) {
+            if (!gather_further(wanted, balls, counters)) {
                 counters.errors |= kErrNotConverged;
                 out.scp = x_;
                 out.active = 0;
@@ -264,25 +303,16 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         bool stretched = false;
         if (solution.active > 0) {
             // Stretched, then back behind no plane: the sweep spares what the planes separate.
-            if (const double stretch = slide.stretch(step, length); stretch > 1.0) {
+            if (const double stretch = slide.stretch(step, length);
+                stretch > 1.0 && length < kShortStep * mean_edge_mm_) {
                 const PlaneSolution far =
                     nearest_feasible(planes_, local_ + step * stretch, false, 1e-3 * tolerances_.settled);
                 if (far.feasible) step = far.y - local_, length = norm(step), stretched = true;
             }
         }
-        // Clip to the ball the candidates are complete for: |local + t step| = limit.
-        const double limit = candidates_.reach() - slack;
-        double whole = 1.0;
-        if (norm2(local_ + step) > limit * limit) {
-            const double a = norm2(step), b = dot(local_, step), c = norm2(local_) - limit * limit;
-            whole = std::clamp((-b + std::sqrt(std::max(b * b - a * c, 0.0))) / a, 0.0, 1.0);
-            step = step * whole;
-        }
-        const double t = std::min(sweep(step, balls, counters), 1.0);
-        x_ += step * t;
-        path_ += length * whole * t;
-        if (whole < 1.0 || t < 1.0) continue;
-        local_ += step;
+        const bool arrived = travel(step, wanted, k, balls, counters);
+        if (norm2(candidates_.centre() - centre) > 0.0) out.active = 0;
+        if (!arrived || (planes_.count > 0 && out.active == 0)) continue;
         // Arrived: at the HIP with nothing touched, or on faces whose planes are the same here. Nothing else was met on
         // the way, so there is nothing left to solve.
         if (planes_.count == 0 || (!stretched && still_planes(out))) {

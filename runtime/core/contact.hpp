@@ -114,6 +114,9 @@ private:
     }
     [[nodiscard]] double granted_here(std::uint32_t i, const SolverBall& ball);
     void collect_touching(std::span<const SolverBall> balls, TickCounters& counters);
+    [[nodiscard]] bool gather_further(double& wanted, std::span<const SolverBall> balls, TickCounters& counters);
+    [[nodiscard]] bool travel(Vec3 step, double& wanted, int& iteration, std::span<const SolverBall> balls,
+                              TickCounters& counters);
     [[nodiscard]] double sweep(const Vec3& step, std::span<const SolverBall> balls, TickCounters& counters);
     [[nodiscard]] bool still_planes(const Contact& contact);
     [[nodiscard]] bool separated(const Triangle& t, double kept) const;
