@@ -12,7 +12,7 @@ constexpr int kMaxIterations = 64;
 // A long slide over many small constraints settles slowly: from this iteration on a step counts as settled that is
 // longer each time, up to a hundred times (below 1 um on models up to 120 mm).
 constexpr int kPatience = 10;
-constexpr double kShortStep = 0.1;  // mean edges
+constexpr double kShortStep = 0.03;  // mean edges
 
 // Sliding over a rounded edge converges linearly, slowly where the HIP is near the centre of curvature. Successive
 // steps in one direction tell the rate (Aitken), and a short step is stretched to where they lead; it is swept all the
