@@ -67,6 +67,14 @@ std::uint32_t Candidates::triangle_id(std::uint32_t i, std::uint32_t lane) const
     return block.id[lane] == kNoNeighbour ? block.id[0] : block.id[lane];
 }
 
+double Candidates::bound(std::uint32_t i, const Vec3& x) const {
+    const BlockBound& b = level_->bounds[pairs_[i].block];
+    const SolverBall& ball = solver_balls_[pairs_[i].ball];
+    const Vec3 to = Vec3{b.x, b.y, b.z} - (centre_ + x + ball.offset);
+    const double off_slab = std::abs(dot(to, Vec3{b.nx, b.ny, b.nz})) - double{b.half};
+    return std::max(norm(to) - double{b.radius}, off_slab) * (1.0 - 1e-6) - ball.kept;
+}
+
 bool Candidates::passes_by(std::uint32_t i, const Vec3& from, const Vec3& step, double margin) const {
     const BlockBound& b = level_->bounds[pairs_[i].block];
     const SolverBall& ball = solver_balls_[pairs_[i].ball];
@@ -177,7 +185,7 @@ void Candidates::list(std::uint32_t block, std::uint32_t ball, double bound) {
         const Known& k = known(block, ball);
         if (k.epoch == epoch_) {
             pair = last_pairs_[k.index];
-            bound = std::max(bound, last_keys_[k.index] - last_path_);
+            bound = std::max(bound, last_keys_[k.index] - last_path_ + off_);
         }
     }
     // A new pair this near will be looked at in this tick or the next: its triangles are on their way meanwhile.
@@ -276,7 +284,7 @@ bool Candidates::gather_node(std::uint32_t index, double reach, TickCounters& co
     return true;
 }
 
-double Candidates::gather(const Vec3& centre, double reach, double path, std::span<const SolverBall> balls,
+double Candidates::gather(const Vec3& centre, double reach, double path, double off, std::span<const SolverBall> balls,
                           TickCounters& counters) {
     solver_balls_ = balls;
     odometer_ += norm(centre - centre_);
@@ -287,6 +295,7 @@ double Candidates::gather(const Vec3& centre, double reach, double path, std::sp
     last_count_ = block_count_;
     last_evaluated_ = evaluated_;
     last_path_ = path;
+    off_ = off;
     near_ = 0.5 * reach;
     bool complete = false;
     for (int attempt = 0; attempt < 13; ++attempt) {

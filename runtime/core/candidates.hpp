@@ -36,8 +36,9 @@ public:
     // Everything that a ball could touch while it stays within `reach` of where it is with the reference at centre.
     // Items beyond the reach and repeated ones may be among it. Blocks are only listed, with a lower bound of their
     // clearance: most are never looked at. What is known of pairs that were listed before is kept; `path` is the length
-    // moved since the last gather. Returns the reach that could be granted (less where the scratch is too small).
-    double gather(const Vec3& centre, double reach, double path, std::span<const SolverBall> balls,
+    // moved since the last gather, `off` how far the reference point is from the centre. Returns the reach that could
+    // be granted (less where the scratch is too small).
+    double gather(const Vec3& centre, double reach, double path, double off, std::span<const SolverBall> balls,
                   TickCounters& counters);
 
     void invalidate() { valid_ = false; }
@@ -53,6 +54,8 @@ public:
     [[nodiscard]] double reach() const { return reach_ - turned_; }
     [[nodiscard]] std::uint32_t block_count() const { return block_count_; }
     [[nodiscard]] std::uint32_t ball(std::uint32_t i) const { return pairs_[i].ball; }
+    // Lower bound of the pair's clearance with the reference point at x (relative to centre()), without evaluating it.
+    [[nodiscard]] double bound(std::uint32_t i, const Vec3& x) const;
     // Whether the move from -> from + step of the reference point (relative to centre()) keeps the ball by the margin
     // clear of the block's bounding ball: for that nothing has to be evaluated.
     [[nodiscard]] bool passes_by(std::uint32_t i, const Vec3& from, const Vec3& step, double margin) const;
@@ -110,7 +113,7 @@ private:
     std::vector<double> balls_clear_until_, nodes_clear_until_, nodes_looked_at_;
     std::uint32_t block_count_ = 0, last_count_ = 0, evaluated_ = 0, last_evaluated_ = 0, epoch_ = 0, table_mask_ = 0;
     Vec3 centre_;
-    double reach_ = 0.0, turned_ = 0.0, odometer_ = 0.0, last_path_ = 0.0, near_ = 0.0;
+    double reach_ = 0.0, turned_ = 0.0, odometer_ = 0.0, last_path_ = 0.0, off_ = 0.0, near_ = 0.0;
     bool valid_ = false;
 };
 

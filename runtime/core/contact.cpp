@@ -12,7 +12,10 @@ constexpr int kMaxIterations = 64;
 // A long slide over many small constraints settles slowly: from this iteration on a step counts as settled that is
 // longer each time, up to a hundred times (below 1 um on models up to 120 mm).
 constexpr int kPatience = 10;
-constexpr double kShortStep = 0.03;  // mean edges
+constexpr double kShortStep = 0.1;  // mean edges; before patience ends a third of it
+// Candidates are gathered about the place that the reference point will reach in so many ticks, with this room around.
+constexpr double kTicksAhead = 1.0;
+constexpr double kRoom = 0.15;  // mean edges
 
 // Sliding over a rounded edge converges linearly, slowly where the HIP is near the centre of curvature. Successive
 // steps in one direction tell the rate (Aitken), and a short step is stretched to where they lead; it is swept all the
@@ -79,6 +82,13 @@ double ContactSolver::granted_here(std::uint32_t i, const SolverBall& ball) {
     return least;
 }
 
+// The same by the bound of a block that was never evaluated: it was found from where the candidates were gathered.
+double ContactSolver::bounded_here(std::uint32_t i) {
+    const double least = candidates_.bound(i, local_);
+    candidates_.key(i) = std::max(candidates_.key(i), path_ + least);
+    return least;
+}
+
 bool ContactSolver::separated(const Triangle& t, double kept) const {
     for (int i = 0; i < planes_.count; ++i) {
         const ContactPlane& p = planes_.planes[i];
@@ -95,7 +105,11 @@ void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCoun
         if (candidates_.key(i) - path_ > within) continue;
         const SolverBall& ball = balls[candidates_.ball(i)];
         if (candidates_.stamp(i) != stamp_) {
-            if (candidates_.evaluated(i) && granted_here(i, ball) > within) continue;
+            if (candidates_.evaluated(i)) {
+                if (granted_here(i, ball) > within) continue;
+            } else if (bounded_here(i) > within) {
+                continue;
+            }
             renew(i, counters);
         }
         const EvalBlock& e = candidates_.evaluation(i);
@@ -180,10 +194,19 @@ double ContactSolver::wanted_reach(double motion_mm) const {
     return std::max(std::min(2.0 * motion_mm, 4.0 * cell_mm_) + 0.15 * mean_edge_mm_, 16.0 * tolerances_.skin);
 }
 
-double ContactSolver::gather(double reach, std::span<const SolverBall> balls, TickCounters& counters) {
+// Where x will be in these ticks lies ahead of it: half the reach, about a point ahead, holds as many ticks.
+double ContactSolver::gather_ahead(const Vec3& motion, std::span<const SolverBall> balls, TickCounters& counters) {
+    const double length = norm(motion);
+    const double ticks = length > 0.0 ? std::min(kTicksAhead, 2.0 * cell_mm_ / length) : 0.0;
+    return gather(std::max(1.1 * ticks * length + kRoom * mean_edge_mm_, 16.0 * tolerances_.skin), balls, counters,
+                  motion * ticks);
+}
+
+double ContactSolver::gather(double reach, std::span<const SolverBall> balls, TickCounters& counters,
+                             const Vec3& ahead) {
     const double path = path_;
-    path_ = 0.0;
-    return candidates_.gather(x_, reach, path, balls, counters);
+    path_ = norm(ahead);
+    return candidates_.gather(x_ + ahead, reach, path, path_, balls, counters);
 }
 
 // Lists what is near for a further way, twice as far each time. False: so much lies around that none is left to move.
@@ -229,14 +252,13 @@ bool ContactSolver::travel(Vec3 step, double& wanted, int& iteration, std::span<
     }
 }
 
-Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> balls, double motion_mm,
+Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> balls, const Vec3& motion,
                                TickCounters& counters) {
     Contact out;
     out.converged = false;
-    const double slack = 2.0 * tolerances_.skin;
-    double wanted = wanted_reach(motion_mm);
-    if (candidates_.valid() && norm(x_ - candidates_.centre()) + 1.1 * motion_mm > candidates_.reach() - slack)
-        candidates_.invalidate();
+    double wanted = wanted_reach(norm(motion));
+    if (!candidates_.valid() || !candidates_hold(x_) || !candidates_hold(x_ + motion * 1.1))
+        gather_ahead(motion, balls, counters);
     Slide slide;
     Vec3 last = x_, before_last = x_;
     for (int k = 0; k < kMaxIterations; ++k) {
@@ -245,8 +267,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         ++counters.iterations;
         next_stamp();
         const double settled = tolerances_.settled * std::min(std::exp2(std::max(k - kPatience, 0)), 100.0);
-        // Candidates are good while x and everything within touching distance stays inside their reach.
-        if (!candidates_.valid() || norm(x_ - candidates_.centre()) > 0.75 * (candidates_.reach() - slack)) {
+        if (!candidates_hold(x_)) {
             out.active = 0;  // planes of the last step are in the old frame
             if (!gather_further(wanted, balls, counters)) {
                 counters.errors |= kErrNotConverged;
@@ -304,7 +325,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         if (solution.active > 0) {
             // Stretched, then back behind no plane: the sweep spares what the planes separate.
             if (const double stretch = slide.stretch(step, length);
-                stretch > 1.0 && length < kShortStep * mean_edge_mm_) {
+                stretch > 1.0 && length < (k < kPatience ? 0.3 : 1.0) * kShortStep * mean_edge_mm_) {
                 const PlaneSolution far =
                     nearest_feasible(planes_, local_ + step * stretch, false, 1e-3 * tolerances_.settled);
                 if (far.feasible) step = far.y - local_, length = norm(step), stretched = true;

@@ -83,11 +83,12 @@ public:
     }
     [[nodiscard]] const Vec3& position() const { return x_; }
 
-    // Move from the present position toward the HIP as far as the surface lets.
-    Contact advance(const Vec3& hip, std::span<const SolverBall> balls, double motion_mm, TickCounters& counters);
+    // Move from the present position toward the HIP as far as the surface lets. `motion` of the HIP since the last tick
+    // is a hint of where the tool is going.
+    Contact advance(const Vec3& hip, std::span<const SolverBall> balls, const Vec3& motion, TickCounters& counters);
 
-    // Lists what is near the present position, see Candidates::gather.
-    double gather(double reach, std::span<const SolverBall> balls, TickCounters& counters);
+    // Lists what is near the present position, or a point ahead of it, see Candidates::gather.
+    double gather(double reach, std::span<const SolverBall> balls, TickCounters& counters, const Vec3& ahead = {});
     Candidates& candidates() { return candidates_; }
     [[nodiscard]] std::span<BallSide> sides() { return sides_; }
     // Lower bound of the distance to the surface, 0 in contact: what the distance policy switches by.
@@ -106,6 +107,11 @@ private:
     };
 
     [[nodiscard]] double wanted_reach(double motion_mm) const;
+    double gather_ahead(const Vec3& motion, std::span<const SolverBall> balls, TickCounters& counters);
+    // Whether everything within touching distance of x is among the candidates.
+    [[nodiscard]] bool candidates_hold(const Vec3& x) const {
+        return candidates_.valid() && norm(x - candidates_.centre()) <= candidates_.reach() - 2.0 * tolerances_.skin;
+    }
     void renew(std::uint32_t block, TickCounters& counters);
     // From where the block was evaluated to where its ball is with the reference point at `local`.
     [[nodiscard]] std::array<float, 3> move_since(std::uint32_t i, const Vec3& local, const SolverBall& ball) const {
@@ -113,6 +119,7 @@ private:
         return {static_cast<float>(move.x), static_cast<float>(move.y), static_cast<float>(move.z)};
     }
     [[nodiscard]] double granted_here(std::uint32_t i, const SolverBall& ball);
+    [[nodiscard]] double bounded_here(std::uint32_t i);
     void collect_touching(std::span<const SolverBall> balls, TickCounters& counters);
     [[nodiscard]] bool gather_further(double& wanted, std::span<const SolverBall> balls, TickCounters& counters);
     [[nodiscard]] bool travel(Vec3 step, double& wanted, int& iteration, std::span<const SolverBall> balls,

@@ -54,7 +54,7 @@ struct Renderer::State {
     void start(TickCounters& counters);
     MappingOutcome switch_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
     MappingOutcome change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
-    void touch(std::uint32_t level, const Vec3& target, double motion_mm, TickCounters& counters);
+    void touch(std::uint32_t level, const Vec3& target, const Vec3& motion, TickCounters& counters);
     [[nodiscard]] Vec3 shading(std::uint32_t level) const;
     [[nodiscard]] Vec3 force(const Vec3& pulled_to) const;
 };
@@ -283,7 +283,7 @@ MappingOutcome Renderer::State::switch_level(std::uint32_t from, std::uint32_t t
     if (!touching) return outcome;
     contact.active = 0;  // friction holds nothing of the old level
     if (outcome != MappingOutcome::miss && config.blend_s > 0.0) {
-        touch(to, last_hip, 0.0, counters);
+        touch(to, last_hip, {}, counters);
         if (contact.active > 0)
             blend.begin(rendered - contact.scp - shade, config.blend_s, norm(contact.scp - last_hip));
     }
@@ -292,10 +292,10 @@ MappingOutcome Renderer::State::switch_level(std::uint32_t from, std::uint32_t t
 
 // Contact at the target with Coulomb friction: the SCP holds until the pull leaves the static cone, then trails the
 // frictionless SCP at the radius of the dynamic cone (Harwin & Melder 2002).
-void Renderer::State::touch(std::uint32_t level, const Vec3& target, double motion_mm, TickCounters& counters) {
+void Renderer::State::touch(std::uint32_t level, const Vec3& target, const Vec3& motion, TickCounters& counters) {
     const bool held = contact.active > 0;
     const Vec3 from = solver.position(), anchor = contact.scp;
-    Contact free = solver.advance(target, tool(level), motion_mm, counters);
+    Contact free = solver.advance(target, tool(level), motion, counters);
     if (config.friction_static > 0.0 && held && free.active > 0) {
         const double depth = norm(free.scp - target), pull = norm(free.scp - anchor);
         if (pull <= config.friction_static * depth) {
@@ -304,7 +304,7 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, double moti
         } else if (config.friction_dynamic > 0.0 && pull > 0.0) {
             const double trail = std::min(config.friction_dynamic * depth / pull, 1.0);
             solver.place(from);
-            const Contact slid = solver.advance(target + (anchor - free.scp) * trail, tool(level), motion_mm, counters);
+            const Contact slid = solver.advance(target + (anchor - free.scp) * trail, tool(level), motion, counters);
             if (slid.active > 0) free = slid;
         }
     }
@@ -366,7 +366,7 @@ void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
         s.started = true;
         s.start(counters);
     }
-    const double motion_mm = first ? 0.0 : norm(s.hip - last_hip);
+    const Vec3 motion = first ? Vec3{} : s.hip - last_hip;
 
     const Vec3 velocity = s.speed.update(s.hip, dt, s.config.filter_hz);
     const double speed_mm_s = norm(velocity);
@@ -376,7 +376,7 @@ void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
     const std::uint32_t level = s.level_switch.update(s.config, measure, dt);
     MappingOutcome outcome = MappingOutcome::none;
     if (level != before) outcome = s.switch_level(before, level, last_hip, counters);
-    s.touch(level, s.hip, motion_mm, counters);
+    s.touch(level, s.hip, motion, counters);
 
     Vec3 force, scp = s.contact.scp;
     if (s.contact.active > 0) {
