@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 # Read by jax when a test first imports it; tests that never touch jax do not pay for importing it.
 os.environ.setdefault("JAX_ENABLE_X64", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+# What these tests cost is compiling. Programs that run for milliseconds are translated quickly rather than well.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

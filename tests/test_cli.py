@@ -230,8 +230,11 @@ class TestTuning:
 
 
 def command(folder: Path, words: list[str]) -> subprocess.Popen[str]:
-    """`hapticlod` in a folder, 80 columns wide, with a cache of its own: nothing comes from runs before."""
-    environment = {**os.environ, "COLUMNS": "80", "HAPTICLOD_CACHE": str(folder / "cache")}
+    """`hapticlod` in a folder, 80 columns wide, with a cache of its own: nothing comes from runs before.
+
+    It compiles as it does for users, not as tests do.
+    """
+    environment = {**os.environ, "COLUMNS": "80", "HAPTICLOD_CACHE": str(folder / "cache"), "XLA_FLAGS": ""}
     return subprocess.Popen(
         [sys.executable, "-m", "tuning.cli", *words], cwd=folder, env=environment, text=True, stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, preexec_fn=heed_interrupts,

@@ -137,11 +137,12 @@ def _sum_of_flows(point):
     return soft.switches + 3 * jnp.sum(soft.weights[1]) / 4000
 
 
+_gradient = jax.jit(jax.grad(_sum_of_flows))
 POINT = np.log([15.0, 25.0, 60.0, 0.1])
 
 
 def test_gradient_is_the_difference_quotient():
-    gradient = jax.jit(jax.grad(_sum_of_flows))(jnp.asarray(POINT))
+    gradient = _gradient(jnp.asarray(POINT))
     for i in range(4):
         step = np.zeros(4)
         step[i] = 1e-6
@@ -153,6 +154,6 @@ def test_gradient_is_the_difference_quotient():
 def test_forward_mode_and_batching_agree():
     point, direction = jnp.asarray(POINT), jnp.array([1.0, -0.5, 0.3, 0.2])
     _, forward = jax.jvp(_sum_of_flows, (point,), (direction,))
-    assert float(forward) == pytest.approx(float(jax.grad(_sum_of_flows)(point) @ direction), rel=1e-9)
+    assert float(forward) == pytest.approx(float(_gradient(point) @ direction), rel=1e-9)
     batch = jnp.stack([point, point + 0.1])
     np.testing.assert_allclose(jax.jit(jax.vmap(_sum_of_flows))(batch), [_sum_of_flows(p) for p in batch], rtol=1e-9)
