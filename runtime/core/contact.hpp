@@ -86,6 +86,14 @@ public:
     // Move from the present position toward the HIP as far as the surface lets.
     Contact advance(const Vec3& hip, std::span<const SolverBall> balls, double motion_mm, TickCounters& counters);
 
+    // Everything that touches the tool where advance() left it, at its clearance: also what an active plane hides because
+    // it lies behind it. Points are relative to the candidates' centre. Looks again, so ask only where it is needed.
+    struct Touch {
+        double clearance;
+        ContactPlane plane;
+    };
+    [[nodiscard]] std::span<const Touch> touches(std::span<const SolverBall> balls, TickCounters& counters);
+
     // Lists what is near the present position, see Candidates::gather.
     double gather(double reach, std::span<const SolverBall> balls, TickCounters& counters);
     Candidates& candidates() { return candidates_; }
@@ -99,11 +107,6 @@ public:
 
 private:
     static constexpr std::size_t kMaxTouches = 256;
-
-    struct Touch {
-        double clearance;
-        ContactPlane plane;
-    };
 
     [[nodiscard]] double wanted_reach(double motion_mm) const;
     void renew(std::uint32_t block, TickCounters& counters);
@@ -137,6 +140,7 @@ private:
     ContactPlane last_touch_;
     bool touched_ = false;
     std::vector<Touch> touches_;
+    std::size_t touch_count_ = 0;
     std::vector<BallSide> sides_;
 };
 

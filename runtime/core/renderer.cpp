@@ -11,6 +11,7 @@
 #include "core/force_gate.hpp"
 #include "core/inside.hpp"
 #include "core/mapping.hpp"
+#include "core/material.hpp"
 #include "core/speed.hpp"
 #include "core/surface.hpp"
 #include "core/switching.hpp"
@@ -42,6 +43,9 @@ struct Renderer::State {
     Contact contact;
     Vec3 shade;  // what force shading adds to the contact's SCP: the force points from the HIP to scp + shade
     ContactMemory memory;
+    bool has_materials = false;   // on any level: without, `felt` stays the station's
+    FeltMaterial felt;            // what this tick's force is made with: touched, and what a blend leaves of the last
+    FeltMaterial touched, jump;   // of the last contact that was not held by friction; the level switch's step
 
     [[nodiscard]] std::span<const SolverBall> tool(std::uint32_t level) const {
         return {balls.data(), std::min<std::size_t>(config.balls[level], balls.size())};
@@ -56,6 +60,7 @@ struct Renderer::State {
     MappingOutcome change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
     void touch(std::uint32_t level, const Vec3& target, double motion_mm, TickCounters& counters);
     [[nodiscard]] Vec3 shading(std::uint32_t level) const;
+    void touch_material(std::uint32_t level, TickCounters& counters);
     [[nodiscard]] Vec3 force(const Vec3& pulled_to) const;
 };
 
@@ -71,10 +76,13 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
     if (tool.empty() || tool.size() > kMaxBalls) return "a tool needs 1 to 4096 balls";
     for (const LevelView& level : levels)
         if (level.hash == nullptr || level.triangle_count() == 0) return "a level is empty";
+    for (const LevelView& level : levels)
+        if (std::string fault = check_materials(level.materials, level.vertex_count()); !fault.empty()) return fault;
     State& s = *state_;
     s.config = config;
     s.levels.clear();
     for (const LevelView& level : levels) s.levels.emplace_back(level);
+    s.has_materials = std::any_of(levels.begin(), levels.end(), [](const LevelView& l) { return !l.materials.empty(); });
     const HashHeader& h = *levels[0].hash;
     s.extent_mm =
         norm(Vec3{h.bbox_max[0] - h.bbox_min[0], h.bbox_max[1] - h.bbox_min[1], h.bbox_max[2] - h.bbox_min[2]});
@@ -112,6 +120,7 @@ void Renderer::State::forget() {
     const double identity[4] = {1.0, 0.0, 0.0, 0.0};
     turn(identity);
     std::copy(identity, identity + 4, asked);
+    felt = touched = FeltMaterial::of_station(config);
     solver.bind(levels[0], best_kernels(), tolerances);
 }
 
@@ -284,8 +293,10 @@ MappingOutcome Renderer::State::switch_level(std::uint32_t from, std::uint32_t t
     contact.active = 0;  // friction holds nothing of the old level
     if (outcome != MappingOutcome::miss && config.blend_s > 0.0) {
         touch(to, last_hip, 0.0, counters);
-        if (contact.active > 0)
+        if (contact.active > 0) {
             blend.begin(rendered - contact.scp - shade, config.blend_s, norm(contact.scp - last_hip));
+            if (has_materials) jump = felt - touched;
+        }
     }
     return outcome;
 }
@@ -296,13 +307,15 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, double moti
     const bool held = contact.active > 0;
     const Vec3 from = solver.position(), anchor = contact.scp;
     Contact free = solver.advance(target, tool(level), motion_mm, counters);
-    if (config.friction_static > 0.0 && held && free.active > 0) {
+    bool stuck = false;
+    if (felt.friction_static > 0.0 && held && free.active > 0) {
         const double depth = norm(free.scp - target), pull = norm(free.scp - anchor);
-        if (pull <= config.friction_static * depth) {
+        if (pull <= felt.friction_static * depth) {
             solver.place(from);
             free.scp = anchor;
-        } else if (config.friction_dynamic > 0.0 && pull > 0.0) {
-            const double trail = std::min(config.friction_dynamic * depth / pull, 1.0);
+            stuck = true;
+        } else if (felt.friction_dynamic > 0.0 && pull > 0.0) {
+            const double trail = std::min(felt.friction_dynamic * depth / pull, 1.0);
             solver.place(from);
             const Contact slid = solver.advance(target + (anchor - free.scp) * trail, tool(level), motion_mm, counters);
             if (slid.active > 0) free = slid;
@@ -312,6 +325,7 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, double moti
     shade = {};
     if (contact.active == 0) return;
     if (contact.between) return;
+    if (has_materials && !stuck) touch_material(level, counters);
     shade = shading(level);
     int strongest = 0;
     for (int i = 1; i < contact.active; ++i)
@@ -323,6 +337,12 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, double moti
     memory.point = p.point;
     memory.ball = p.ball;
     memory.side = dot(face_normal(levels[level].view, p.triangle), p.normal) < 0.0 ? -1.0 : 1.0;
+}
+
+// Where friction holds the tool it stays on what it lies on.
+void Renderer::State::touch_material(std::uint32_t level, TickCounters& counters) {
+    if (contact.converged)
+        touched = contact_material(levels[level].view, config, contact, solver, tool(level), counters);
 }
 
 // The part of the force that the faces give, turned from their normals to the interpolated ones. Friction is left
@@ -341,7 +361,7 @@ Vec3 Renderer::State::shading(std::uint32_t level) const {
 
 Vec3 Renderer::State::force(const Vec3& pulled_to) const {
     const Vec3 d = pulled_to - hip;
-    const Vec3 spring = d * config.stiffness_n_mm;
+    const Vec3 spring = d * felt.stiffness_n_mm;
     const Vec3 damped = spring - speed.velocity() * config.damping_n_s_mm;
     // Damping resists; it never pulls the tool onto the surface.
     const double size2 = norm2(d);
@@ -382,6 +402,7 @@ void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
     if (s.contact.active > 0) {
         const Vec3 pulled_to = s.blend.rendered(s.contact.scp + s.shade, norm(s.contact.scp - s.hip));
         scp = pulled_to - s.shade;
+        if (s.has_materials) s.felt = s.touched + s.jump * s.blend.share();
         force = s.force(pulled_to);
     } else {
         s.blend.reset();
@@ -392,7 +413,7 @@ void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
     Vec3 torque;
     for (int i = 0; i < s.contact.active; ++i)
         torque += cross(s.contact.planes[i].point - s.contact.scp,
-                        s.contact.planes[i].normal * (s.contact.multiplier[i] * s.config.stiffness_n_mm));
+                        s.contact.planes[i].normal * (s.contact.multiplier[i] * s.felt.stiffness_n_mm));
     const Vec3 origin = load3(s.config.origin_mm);
     (s.hip + origin).store(out.hip_mm);
     (scp + origin).store(out.scp_mm);
