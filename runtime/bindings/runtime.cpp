@@ -142,7 +142,7 @@ public:
     [[nodiscard]] std::size_t scratch_bytes() const { return renderer_.scratch_bytes(); }
 
 private:
-    nb::list keep_;  // the levels' memory must outlive the renderer
+    nb::list keep_;                                         // the levels' memory must outlive the renderer
     std::vector<std::vector<hapticlod::Material>> smooth_;  // moved, their elements stay where they are
     hapticlod::Renderer renderer_;
 };

@@ -86,8 +86,9 @@ public:
     // Move from the present position toward the HIP as far as the surface lets.
     Contact advance(const Vec3& hip, std::span<const SolverBall> balls, double motion_mm, TickCounters& counters);
 
-    // Everything that touches the tool where advance() left it, at its clearance: also what an active plane hides because
-    // it lies behind it. Points are relative to the candidates' centre. Looks again, so ask only where it is needed.
+    // Everything that touches the tool where advance() left it, at its clearance: also what an active plane hides
+    // because it lies behind it. Points are relative to the candidates' centre. Looks again, so ask only where it is
+    // needed.
     struct Touch {
         double clearance;
         ContactPlane plane;

@@ -29,8 +29,8 @@ struct LevelView {
     [[nodiscard]] std::uint32_t vertex_count() const { return static_cast<std::uint32_t>(vertices.size() / 3); }
     [[nodiscard]] std::size_t bytes() const {
         return vertices.size_bytes() + faces.size_bytes() + adjacency.size_bytes() + normals.size_bytes() +
-               sizeof(HashHeader) + table.size_bytes() + bricks.size_bytes() + cells.size_bytes() + blocks.size_bytes() +
-               materials.size_bytes();
+               sizeof(HashHeader) + table.size_bytes() + bricks.size_bytes() + cells.size_bytes() +
+               blocks.size_bytes() + materials.size_bytes();
     }
 };
 

@@ -15,12 +15,6 @@ FeltMaterial at_vertex(const Material& m, const ConfigData& station) {
     return felt;
 }
 
-bool is_active(const ContactPlane& p, const Contact& contact) {
-    for (int i = 0; i < contact.active; ++i)
-        if (contact.planes[i].triangle == p.triangle && contact.planes[i].ball == p.ball) return true;
-    return false;
-}
-
 }  // namespace
 
 std::string check_materials(std::span<const Material> materials, std::size_t vertices) {
@@ -65,19 +59,28 @@ FeltMaterial contact_material(const LevelView& level, const ConfigData& station,
         sum = sum + material_at(level, station, p.triangle, point) * weight;
         total += weight;
     };
-    for (int i = 0; i < contact.active; ++i)
-        add(contact.planes[i], contact.planes[i].point, contact.multiplier[i]);
-    const Vec3 centre = solver.candidates().centre();
-    for (const ContactSolver::Touch& touch : solver.touches(balls, counters)) {
-        const ContactPlane& p = touch.plane;
-        if (is_active(p, contact)) continue;
-        const double near = std::clamp(1.0 - touch.clearance / solver.tolerances().touching, 0.0, 1.0);
-        double held = 0.0;
-        for (int i = 0; i < contact.active; ++i)
-            held += contact.multiplier[i] * std::max(dot(p.normal, contact.planes[i].normal), 0.0);
-        add(p, p.point + centre, near * held);
+    for (int i = 0; i < contact.active; ++i) add(contact.planes[i], contact.planes[i].point, contact.multiplier[i]);
+    if (balls.size() > 1) {
+        const Vec3 centre = solver.candidates().centre();
+        const std::span<const ContactSolver::Touch> touches = solver.touches(balls, counters);
+        for (std::size_t k = 0; k < touches.size(); ++k) {
+            const ContactPlane& p = touches[k].plane;
+            const double near = std::clamp(1.0 - touches[k].clearance / solver.tolerances().touching, 0.0, 1.0);
+            double held = 0.0, own = 1.0;
+            for (int i = 0; i < contact.active; ++i) {
+                const double along = std::max(dot(p.normal, contact.planes[i].normal), 0.0);
+                held += contact.multiplier[i] * along;
+                if (contact.planes[i].ball == p.ball) own = std::min(own, 1.0 - along);
+            }
+            // One ball has one place in one direction, however many faces meet there: the nearest, which came first.
+            for (std::size_t j = 0; j < k && own > 0.0; ++j)
+                if (touches[j].plane.ball == p.ball) own = std::min(own, 1.0 - dot(p.normal, touches[j].plane.normal));
+            add(p, p.point + centre, near * held * own);
+        }
     }
-    return total > 0.0 ? sum * (1.0 / total) : FeltMaterial::of_station(station);
+    // At no depth at all nothing has a weight, and there is no force yet.
+    return total > 0.0 ? sum * (1.0 / total)
+                       : material_at(level, station, contact.planes[0].triangle, contact.planes[0].point);
 }
 
 }  // namespace hapticlod

@@ -26,9 +26,7 @@ struct FeltMaterial {
         return {stiffness_n_mm + o.stiffness_n_mm, friction_static + o.friction_static,
                 friction_dynamic + o.friction_dynamic};
     }
-    FeltMaterial operator*(double s) const {
-        return {stiffness_n_mm * s, friction_static * s, friction_dynamic * s};
-    }
+    FeltMaterial operator*(double s) const { return {stiffness_n_mm * s, friction_static * s, friction_dynamic * s}; }
     FeltMaterial operator-(const FeltMaterial& o) const { return *this + o * -1.0; }
 };
 

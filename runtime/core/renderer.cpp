@@ -43,9 +43,9 @@ struct Renderer::State {
     Contact contact;
     Vec3 shade;  // what force shading adds to the contact's SCP: the force points from the HIP to scp + shade
     ContactMemory memory;
-    bool has_materials = false;   // on any level: without, `felt` stays the station's
-    FeltMaterial felt;            // what this tick's force is made with: touched, and what a blend leaves of the last
-    FeltMaterial touched, jump;   // of the last contact that was not held by friction; the level switch's step
+    bool has_materials = false;  // on any level: without, `felt` stays the station's
+    FeltMaterial felt;           // what this tick's force is made with: touched, and what a blend leaves of the last
+    FeltMaterial touched, jump;  // of the last contact that was not held by friction; the level switch's step
 
     [[nodiscard]] std::span<const SolverBall> tool(std::uint32_t level) const {
         return {balls.data(), std::min<std::size_t>(config.balls[level], balls.size())};
@@ -82,7 +82,8 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
     s.config = config;
     s.levels.clear();
     for (const LevelView& level : levels) s.levels.emplace_back(level);
-    s.has_materials = std::any_of(levels.begin(), levels.end(), [](const LevelView& l) { return !l.materials.empty(); });
+    s.has_materials =
+        std::any_of(levels.begin(), levels.end(), [](const LevelView& l) { return !l.materials.empty(); });
     const HashHeader& h = *levels[0].hash;
     s.extent_mm =
         norm(Vec3{h.bbox_max[0] - h.bbox_min[0], h.bbox_max[1] - h.bbox_min[1], h.bbox_max[2] - h.bbox_min[2]});
