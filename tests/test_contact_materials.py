@@ -247,3 +247,32 @@ def test_a_material_for_every_vertex() -> None:
     plain = Core([PLANE], point_or_ball(0.0)).levels[0]
     assert level.bytes - plain.bytes == 12 * len(PLANE[0])
     assert "materials" in level.arrays() and "materials" not in plain.arrays()
+
+
+@pytest.mark.parametrize("balls", [1, 25])
+@pytest.mark.parametrize("friction", [0, 1])
+def test_never_stiffer_than_the_station_nor_softer_than_the_softest(friction: int, balls: int) -> None:
+    """Random materials on three levels of a sphere, a path with switches: |F| = k |SCP - HIP|, k in range."""
+    rng = np.random.default_rng(balls + friction)
+    meshes = [shapes.sphere(10.0, 4), shapes.sphere(9.97, 3), shapes.sphere(10.02, 2)]
+    made_of = []
+    for vertices, _ in meshes:
+        mu = rng.uniform(0.1, 0.6, len(vertices)) * friction
+        made_of.append(np.column_stack([rng.uniform(0.3, 3.0, len(vertices)), mu, 0.8 * mu]))
+    tool = np.column_stack([rng.normal(size=(balls, 3)) * 0.4, rng.uniform(0.05, 0.3, balls)])
+    speeds = np.full(8, 1e9)
+    speeds[:2] = [25.0, 45.0]
+    core = Core(meshes, tool, materials=made_of, blend_s=0.03, speeds_mm_s=speeds, filter_hz=30.0, stiffness_n_mm=0.8)
+    t = np.arange(6000) / 1000.0
+    way = np.column_stack([np.sin(4.0 * t) ** 3, np.cos(2.3 * t), 0.3 + np.sin(3.1 * t)])
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    reach = float(np.linalg.norm(tool[:, :3], axis=1).max())
+    rows = core.replay(way * (10.0 + 0.5 * reach + 0.7 * np.sin(9.0 * t))[:, None])
+    assert len(set(rows["level"][rows["contact"] == 1])) == 3
+    pull = np.linalg.norm(rows["scp_mm"] - rows["hip_mm"], axis=1)
+    force = np.linalg.norm(rows["force_n"], axis=1)
+    clear = pull > 1e-4
+    stiffness = (force / np.maximum(pull, 1e-12))[clear & (rows["contact"] == 1)]
+    assert len(stiffness) > 1000
+    assert stiffness.min() > 0.3 - 1e-6 and stiffness.max() < 0.8 + 1e-9
+    assert np.ptp(stiffness) > 0.2

@@ -45,7 +45,7 @@ FeltMaterial material_at(const LevelView& level, const ConfigData& station, std:
     }
     FeltMaterial felt;
     for (std::size_t k = 0; k < 3; ++k)
-        felt = felt + at_vertex(level.materials[level.faces[3 * std::size_t{face} + k]], station) * (w[k] / sum);
+        felt.add(at_vertex(level.materials[level.faces[3 * std::size_t{face} + k]], station), w[k] / sum);
     return felt;
 }
 
@@ -56,7 +56,7 @@ FeltMaterial contact_material(const LevelView& level, const ConfigData& station,
     double total = 0.0;
     const auto add = [&](const ContactPlane& p, const Vec3& point, double weight) {
         if (!(weight > 0.0)) return;
-        sum = sum + material_at(level, station, p.triangle, point) * weight;
+        sum.add(material_at(level, station, p.triangle, point), weight);
         total += weight;
     };
     for (int i = 0; i < contact.active; ++i) add(contact.planes[i], contact.planes[i].point, contact.multiplier[i]);
@@ -79,8 +79,10 @@ FeltMaterial contact_material(const LevelView& level, const ConfigData& station,
         }
     }
     // At no depth at all nothing has a weight, and there is no force yet.
-    return total > 0.0 ? sum * (1.0 / total)
-                       : material_at(level, station, contact.planes[0].triangle, contact.planes[0].point);
+    if (!(total > 0.0)) return material_at(level, station, contact.planes[0].triangle, contact.planes[0].point);
+    FeltMaterial mean;
+    mean.add(sum, 1.0 / total);
+    return mean;
 }
 
 }  // namespace hapticlod

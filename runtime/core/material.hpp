@@ -22,13 +22,21 @@ struct FeltMaterial {
     static FeltMaterial of_station(const ConfigData& c) {
         return {c.stiffness_n_mm, c.friction_static, c.friction_dynamic};
     }
-    FeltMaterial operator+(const FeltMaterial& o) const {
-        return {stiffness_n_mm + o.stiffness_n_mm, friction_static + o.friction_static,
-                friction_dynamic + o.friction_dynamic};
+    void add(const FeltMaterial& o, double weight) {
+        stiffness_n_mm += weight * o.stiffness_n_mm;
+        friction_static += weight * o.friction_static;
+        friction_dynamic += weight * o.friction_dynamic;
     }
-    FeltMaterial operator*(double s) const { return {stiffness_n_mm * s, friction_static * s, friction_dynamic * s}; }
-    FeltMaterial operator-(const FeltMaterial& o) const { return *this + o * -1.0; }
 };
+
+// One at share 0, the other at 1. Never beyond either, so the station's stiffness stays the bound.
+inline FeltMaterial between(const FeltMaterial& from, const FeltMaterial& to, double share) {
+    if (share == 0.0) return from;
+    FeltMaterial felt;
+    felt.add(from, 1.0 - share);
+    felt.add(to, share);
+    return felt;
+}
 
 // At a point of a face: between its corners by barycentric coordinates. A corner is never stiffer than the station.
 [[nodiscard]] FeltMaterial material_at(const LevelView& level, const ConfigData& station, std::uint32_t face,

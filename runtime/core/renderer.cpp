@@ -44,8 +44,9 @@ struct Renderer::State {
     Vec3 shade;  // what force shading adds to the contact's SCP: the force points from the HIP to scp + shade
     ContactMemory memory;
     bool has_materials = false;  // on any level: without, `felt` stays the station's
-    FeltMaterial felt;           // what this tick's force is made with: touched, and what a blend leaves of the last
-    FeltMaterial touched, jump;  // of the last contact that was not held by friction; the level switch's step
+    FeltMaterial felt;           // what the force is made with: `touched`, after a level switch `switched` at first
+    FeltMaterial touched;        // of the last contact that was not held by friction
+    FeltMaterial switched;       // what was felt when the level changed
 
     [[nodiscard]] std::span<const SolverBall> tool(std::uint32_t level) const {
         return {balls.data(), std::min<std::size_t>(config.balls[level], balls.size())};
@@ -296,7 +297,7 @@ MappingOutcome Renderer::State::switch_level(std::uint32_t from, std::uint32_t t
         touch(to, last_hip, 0.0, counters);
         if (contact.active > 0) {
             blend.begin(rendered - contact.scp - shade, config.blend_s, norm(contact.scp - last_hip));
-            if (has_materials) jump = felt - touched;
+            switched = felt;
         }
     }
     return outcome;
@@ -403,7 +404,7 @@ void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
     if (s.contact.active > 0) {
         const Vec3 pulled_to = s.blend.rendered(s.contact.scp + s.shade, norm(s.contact.scp - s.hip));
         scp = pulled_to - s.shade;
-        if (s.has_materials) s.felt = s.touched + s.jump * s.blend.share();
+        if (s.has_materials) s.felt = between(s.touched, s.switched, s.blend.share());
         force = s.force(pulled_to);
     } else {
         s.blend.reset();
