@@ -137,6 +137,18 @@ def test_impossible_properties_are_refused(tmp_path: Path, properties: dict[str,
         load_scan(write_ply(tmp_path / "bad.ply", vertices, faces, columns))
 
 
+def test_properties_of_polygons_are_refused(tmp_path: Path) -> None:
+    """A square is read as two triangles: which of its neighbours' values would be whose is not guessed."""
+    path = tmp_path / "quads.ply"
+    path.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 2\nproperty list uchar int vertex_indices\nproperty float stiffness\nend_header\n"
+        "0 0 0\n5 0 0\n5 5 0\n0 5 0\n9 2 0\n4 0 1 2 3 0.5\n3 1 4 2 0.7\n"
+    )
+    with pytest.raises(InputError, match="stiffness has 2 values for 3 triangles; split its polygons"):
+        load_scan(path)
+
+
 def test_digest_and_arrays() -> None:
     vertices, faces = flat(3)
     plain = scan_from_arrays(vertices, faces)
