@@ -130,6 +130,7 @@ void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCoun
 std::span<const ContactSolver::Touch> ContactSolver::touches(std::span<const SolverBall> balls,
                                                              TickCounters& counters) {
     next_stamp();  // the last step was not followed by a look
+    local_ = x_ - candidates_.centre();
     collect_touching(balls, counters);
     return {touches_.data(), touch_count_};
 }

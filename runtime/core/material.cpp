@@ -60,7 +60,7 @@ FeltMaterial contact_material(const LevelView& level, const ConfigData& station,
         total += weight;
     };
     for (int i = 0; i < contact.active; ++i) add(contact.planes[i], contact.planes[i].point, contact.multiplier[i]);
-    if (balls.size() > 1) {
+    if (balls.size() > 1 && contact.converged) {  // cut short, the solver has moved on from where it last looked
         const Vec3 centre = solver.candidates().centre();
         const std::span<const ContactSolver::Touch> touches = solver.touches(balls, counters);
         for (std::size_t k = 0; k < touches.size(); ++k) {

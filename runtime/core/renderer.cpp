@@ -61,7 +61,6 @@ struct Renderer::State {
     MappingOutcome change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
     void touch(std::uint32_t level, const Vec3& target, double motion_mm, TickCounters& counters);
     [[nodiscard]] Vec3 shading(std::uint32_t level) const;
-    void touch_material(std::uint32_t level, TickCounters& counters);
     [[nodiscard]] Vec3 force(const Vec3& pulled_to) const;
 };
 
@@ -327,7 +326,8 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, double moti
     shade = {};
     if (contact.active == 0) return;
     if (contact.between) return;
-    if (has_materials && !stuck) touch_material(level, counters);
+    if (has_materials && !stuck)  // where friction holds the tool, it stays on what it lies on
+        touched = contact_material(levels[level].view, config, contact, solver, tool(level), counters);
     shade = shading(level);
     int strongest = 0;
     for (int i = 1; i < contact.active; ++i)
@@ -339,12 +339,6 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, double moti
     memory.point = p.point;
     memory.ball = p.ball;
     memory.side = dot(face_normal(levels[level].view, p.triangle), p.normal) < 0.0 ? -1.0 : 1.0;
-}
-
-// Where friction holds the tool it stays on what it lies on.
-void Renderer::State::touch_material(std::uint32_t level, TickCounters& counters) {
-    if (contact.converged)
-        touched = contact_material(levels[level].view, config, contact, solver, tool(level), counters);
 }
 
 // The part of the force that the faces give, turned from their normals to the interpolated ones. Friction is left
