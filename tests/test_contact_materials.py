@@ -276,3 +276,26 @@ def test_never_stiffer_than_the_station_nor_softer_than_the_softest(friction: in
     assert len(stiffness) > 1000
     assert stiffness.min() > 0.3 - 1e-6 and stiffness.max() < 0.8 + 1e-9
     assert np.ptp(stiffness) > 0.2
+
+
+def test_materials_do_not_move_the_contact() -> None:
+    """40 balls, turned, over two levels, without friction: every SCP is the one without materials."""
+    rng = np.random.default_rng(5)
+    meshes = [shapes.sphere(10.0, 4), shapes.sphere(9.97, 3)]
+    made_of = [np.column_stack([rng.uniform(0.3, 3.0, len(v)), *np.full((2, len(v)), AS_STATION)]) for v, _ in meshes]
+    tool = np.column_stack([rng.normal(size=(40, 3)) * 0.5, rng.uniform(0.05, 0.3, 40)])
+    t = np.arange(4000) / 1000.0
+    way = np.column_stack([np.sin(4.0 * t) ** 3, np.cos(2.3 * t), 0.3 + np.sin(3.1 * t)])
+    hip = way / np.linalg.norm(way, axis=1, keepdims=True) * (10.6 + 0.7 * np.sin(9.0 * t))[:, None]
+    turn = np.column_stack([np.ones_like(t), 0.3 * np.sin(2.0 * t), 0.2 * np.cos(3.0 * t), 0.1 * t])
+    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    speeds = np.full(8, 1e9)
+    speeds[0] = 30.0
+    plain, made = (
+        Core(meshes, tool, materials=materials, blend_s=0.03, speeds_mm_s=speeds, filter_hz=30.0).replay(hip, turn)
+        for materials in (None, made_of)
+    )
+    assert np.count_nonzero(np.diff(plain["level"].astype(int))) > 5
+    assert np.abs(plain["scp_mm"] - made["scp_mm"]).max() < 1e-9
+    assert np.array_equal(plain["contact"], made["contact"]) and plain["contact"].mean() > 0.5
+    assert np.abs(plain["force_n"] - made["force_n"]).max() > 0.1
