@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hapticlod.dentition import make_dentition
     from hapticlod.errors import HapticLODError, InputError
     from hapticlod.ladder import Ladder, build_ladder
+    from hapticlod.material_map import load_materials
     from hapticlod.metrics import measure
     from hapticlod.motion import Motion, load_motion, synthesise
     from hapticlod.replay import Record, replay
@@ -37,6 +38,7 @@ __all__ = [
     "__version__",
     "build_ladder",
     "load_config",
+    "load_materials",
     "load_motion",
     "load_scan",
     "load_station",
@@ -57,6 +59,7 @@ _HOME = {
     "dentition": ("make_dentition",),
     "errors": ("HapticLODError", "InputError"),
     "ladder": ("Ladder", "build_ladder"),
+    "material_map": ("load_materials",),
     "metrics": ("measure",),
     "motion": ("Motion", "load_motion", "synthesise"),
     "replay": ("Record", "replay"),

@@ -37,12 +37,13 @@ def contract_dust(vertices: np.ndarray, faces: np.ndarray, length: float) -> np.
     return lowest[label]
 
 
-def flip_caps(vertices: np.ndarray, faces: np.ndarray, height: float) -> np.ndarray:
+def flip_caps(vertices: np.ndarray, faces: np.ndarray, height: float, source: np.ndarray | None = None) -> np.ndarray:
     """Faces (m, 3) with every cap mended that can be.
 
     A cap is a face without area, the corner c of which lies on its longest edge (a, b). Dropping it would leave the
     neighbour (b, a, d) with a vertex in the middle of its edge. Instead the shared edge is flipped: (a, b, c) and
-    (b, a, d) become (a, d, c) and (d, b, c), which cover what the neighbour covered.
+    (b, a, d) become (a, d, c) and (d, b, c), which cover what the neighbour covered. `source` (m,), what each face
+    comes from, is changed accordingly.
     """
     faces = faces.copy()
     for _ in range(_PASSES):
@@ -72,6 +73,8 @@ def flip_caps(vertices: np.ndarray, faces: np.ndarray, height: float) -> np.ndar
             if d == c[i] or is_flat(vertices, new, height).any():
                 continue
             faces[cap], faces[face] = new
+            if source is not None:
+                source[cap] = source[face]
             touched.update((face, cap))
         if not touched:
             break

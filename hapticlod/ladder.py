@@ -12,6 +12,7 @@ from hapticlod.caps import contract_dust, flip_caps, is_flat
 from hapticlod.collapse import CollapseList, collapse
 from hapticlod.deviation import Deviation, ScanSurface
 from hapticlod.errors import HapticLODError, InputError
+from hapticlod.material import transferred, vertex_areas
 from hapticlod.repair import DEGENERATE_HEIGHT_OF_EXTENT
 from hapticlod.scan import Scan
 
@@ -32,6 +33,7 @@ class Rung:
             removed, it counts to a neighbour; a vertex may be without faces.
         asked: number of triangles asked for. `triangles` may be larger where no more could be collapsed without
             turning faces over, and smaller by one or two because a collapse removes a pair.
+        materials: (v, 3) of `hapticlod.material`; None where the scan has none.
     """
 
     vertices: np.ndarray
@@ -39,6 +41,7 @@ class Rung:
     vertex_map: np.ndarray
     asked: int
     _scan: ScanSurface = field(repr=False)
+    materials: np.ndarray | None = field(default=None, repr=False)
 
     @property
     def triangles(self) -> int:
@@ -141,7 +144,8 @@ def build_ladder(
     targets = [max(1, round(count * coarsest_ratio ** (-i / max(1, rungs - 1)))) for i in range(rungs)]
     surface = ScanSurface(scan.vertices, scan.faces)
     collapses = collapse(scan.vertices, scan.faces, targets[-1])
-    finest = Rung(scan.vertices, scan.faces, np.arange(len(scan.vertices), dtype=np.int32), count, surface)
+    same = np.arange(len(scan.vertices), dtype=np.int32)
+    finest = Rung(scan.vertices, scan.faces, same, count, surface, scan.vertex_materials)
     made = [finest]
     tell(STAGE, 0.2)
     for number, target in enumerate(targets[1:], start=1):
@@ -168,7 +172,10 @@ def _rung(collapses: CollapseList, steps: int, asked: int, scan: Scan, surface: 
     faces = faces.astype(np.int32)
     for array in (vertices, faces, vertex_map):
         array.setflags(write=False)
-    return Rung(vertices, faces, vertex_map, asked, surface)
+    materials = None
+    if (values := scan.vertex_materials) is not None:
+        materials = transferred(values, vertex_areas(scan.vertices, scan.faces), vertex_map, vertices)
+    return Rung(vertices, faces, vertex_map, asked, surface, materials)
 
 
 def _notes(made: list[Rung], targets: list[int]) -> tuple[str, ...]:

@@ -114,4 +114,6 @@ HASH_DTYPE: Final = np.dtype(
 
 BRICK_DTYPE: Final = np.dtype([("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("first_cell", "<u4"), ("mask", "<u8")])
 
+MATERIAL_DTYPE: Final = np.dtype([(name, "<f4") for name in ("stiffness_n_mm", "friction_static", "friction_dynamic")])
+
 BLOCK_DTYPE: Final = np.dtype([("v", "<f4", (9, 8)), ("id", "<u4", 8)])

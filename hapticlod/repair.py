@@ -20,15 +20,18 @@ DEGENERATE_HEIGHT_OF_EXTENT = 1e-7
 LARGEST_COORDINATE_MM = 1e9
 
 
-def clean(vertices: np.ndarray, faces: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray, RepairReport]:
+def clean(
+    vertices: np.ndarray, faces: np.ndarray, where: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, RepairReport]:
     """Weld, drop what is no triangle, orient, and sort along a space-filling curve.
 
     Args:
         vertices: (n, 3) float64 mm. faces: (m, 3) int, each index in 0..n-1. where: name for error messages.
 
     Returns:
-        vertices (n', 3) float64 mm, each used by a face; faces (m', 3) int32; the report. No coordinate is changed:
-        every vertex of the result is a vertex of the input, bit for bit.
+        vertices (n', 3) float64 mm, each used by a face; faces (m', 3) int32; for each of these the face of the input
+        (m',) that it comes from; the report. No coordinate is changed: every vertex of the result is a vertex of the
+        input, bit for bit.
 
     Raises:
         InputError: nothing usable is left, or a coordinate is beyond LARGEST_COORDINATE_MM.
@@ -42,6 +45,7 @@ def clean(vertices: np.ndarray, faces: np.ndarray, where: str) -> tuple[np.ndarr
     count["not_finite_vertices"] = _all_fixed((~finite).sum())
     count["faces_on_not_finite"] = _all_fixed((~usable).sum())
     count["unused_vertices"] = _all_fixed((~used & finite).sum())
+    source = np.flatnonzero(usable)
     faces = _some_left(faces[usable], where, "every face has a vertex that is NaN or infinite")
     _check_range(vertices, faces, where)
 
@@ -50,25 +54,28 @@ def clean(vertices: np.ndarray, faces: np.ndarray, where: str) -> tuple[np.ndarr
     count["equal_vertices"] = _all_fixed(len(vertices) - len(keep))
     vertices, faces = vertices[keep], group[faces]
     repeated = _repeats(faces)
-    collapsed, faces = int(repeated.sum()), faces[~repeated]
+    collapsed, faces, source = int(repeated.sum()), faces[~repeated], source[~repeated]
     _some_left(faces, where, "every face is degenerate (two of its corners are one point)")
     tolerance, goal = weld_near_borders(vertices, faces)
     count["near_vertices"] = _all_fixed((goal != np.arange(len(goal))).sum())
     faces = goal[faces]
     repeated = _repeats(faces)
-    collapsed, faces = collapsed + int(repeated.sum()), faces[~repeated]
+    collapsed, faces, source = collapsed + int(repeated.sum()), faces[~repeated], source[~repeated]
     _some_left(faces, where, "every face is degenerate (two of its corners are one point)")
     height = DEGENERATE_HEIGHT_OF_EXTENT * float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
     flat = is_flat(vertices, faces, height)
     count["degenerate_faces"] = _all_fixed(collapsed + int(flat.sum()))
     if flat.any():
         faces = contract_dust(vertices, faces, height)[faces]
-        faces = flip_caps(vertices, faces[~_repeats(faces)], height)
-        faces = faces[~is_flat(vertices, faces, height)]
+        repeated = _repeats(faces)
+        source = source[~repeated]
+        faces = flip_caps(vertices, faces[~repeated], height, source)
+        flat = is_flat(vertices, faces, height)
+        faces, source = faces[~flat], source[~flat]
         _some_left(faces, where, "every face is degenerate (without area)")
     single = _first_of_each(faces)
     count["duplicate_faces"] = _all_fixed(len(faces) - len(single))
-    faces = faces[single]
+    faces, source = faces[single], source[single]
     vertices, faces = _compact(vertices, faces)
 
     edges = edge_table(faces)
@@ -87,7 +94,7 @@ def clean(vertices: np.ndarray, faces: np.ndarray, where: str) -> tuple[np.ndarr
     faces[turn] = faces[turn][:, ::-1]
     count["inside_out_components"] = Count(int(inward.sum()), int(outward.sum()))
 
-    vertices, faces = _spatial_order(vertices, faces)
+    vertices, faces, order = _spatial_order(vertices, faces)
     report = RepairReport(
         triangles_read=len(usable),
         vertices_read=len(finite),
@@ -99,7 +106,7 @@ def clean(vertices: np.ndarray, faces: np.ndarray, where: str) -> tuple[np.ndarr
         turned_faces=turned + int(turn.sum()),
         **count,
     )
-    return vertices, faces.astype(np.int32), report
+    return vertices, faces.astype(np.int32), source[order], report
 
 
 def _all_of_three(mask: np.ndarray) -> np.ndarray:
@@ -159,9 +166,10 @@ def _first_of_each(faces: np.ndarray) -> np.ndarray:
     return np.flatnonzero(~repeat)
 
 
-def _spatial_order(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _spatial_order(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     order = morton_order(vertices)
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
     vertices, faces = vertices[order], rank[faces]
-    return vertices, faces[morton_order(vertices[faces].sum(axis=1))]
+    by_place = morton_order(vertices[faces].sum(axis=1))
+    return vertices, faces[by_place], by_place

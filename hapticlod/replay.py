@@ -10,6 +10,7 @@ from hapticlod import _runtime
 from hapticlod.config import LodConfig
 from hapticlod.ladder import Ladder, Rung
 from hapticlod.layout import RECORD_DTYPE
+from hapticlod.material import to_runtime
 from hapticlod.motion import Motion
 from hapticlod.station import Station
 from hapticlod.tool import Tool
@@ -100,7 +101,9 @@ def local_vertices(rung: Rung, origin_mm: np.ndarray) -> np.ndarray:
 
 def runtime_level(rung: Rung, origin_mm: np.ndarray, cell_mm: float) -> Any:
     """A rung as a level of the runtime, its voxel hash built."""
-    return _runtime.Level(local_vertices(rung, origin_mm), np.ascontiguousarray(rung.faces, dtype=np.uint32), cell_mm)
+    faces = np.ascontiguousarray(rung.faces, dtype=np.uint32)
+    materials = None if rung.materials is None else to_runtime(rung.materials)
+    return _runtime.Level(local_vertices(rung, origin_mm), faces, cell_mm, materials)
 
 
 def runtime_levels(config: LodConfig, ladder: Ladder) -> list[Any]:

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from hapticlod.errors import InputError
+from hapticlod.material import check_materials, vertex_means
 from hapticlod.repair import clean
 from hapticlod.repair_report import Count, RepairReport
-from hapticlod.scan_file import check_indices, read_mesh
+from hapticlod.scan_file import FileMesh, check_indices, read_mesh
 
 __all__ = ["Count", "RepairReport", "Scan", "load_scan", "scan_from_arrays"]
 
@@ -32,6 +33,8 @@ class Scan:
         faces: (m, 3) int32, counter-clockwise seen from outside where the scan has an outside; same spatial order.
         report: what cleaning found and mended.
         name: short name for people. source: file name, or what made the scan. unit: the unit the source was in.
+        face_materials: (m, 3) float64 of `hapticlod.material`, NaN where it is the station's; None: the scan has none.
+        corner_colours: (m, 3, 3) uint8, red, green, blue per corner of each face; None where the file has no colours.
     """
 
     vertices: np.ndarray
@@ -40,6 +43,8 @@ class Scan:
     name: str
     source: str
     unit: str
+    face_materials: np.ndarray | None = None
+    corner_colours: np.ndarray | None = None
 
     @property
     def triangles(self) -> int:
@@ -58,11 +63,26 @@ class Scan:
 
     @cached_property
     def digest(self) -> str:
-        """BLAKE2b (256 bits, hex) of vertices and faces: equal meshes have equal digests."""
+        """BLAKE2b (256 bits, hex) of vertices, faces and materials: scans that feel alike have equal digests."""
         digest = hashlib.blake2b(digest_size=32)
         digest.update(np.ascontiguousarray(self.vertices, dtype="<f8").data)
         digest.update(np.ascontiguousarray(self.faces, dtype="<i4").data)
+        if self.face_materials is not None:
+            digest.update(np.ascontiguousarray(np.nan_to_num(self.face_materials, nan=-1.0), dtype="<f8").data)
         return digest.hexdigest()
+
+    @cached_property
+    def vertex_materials(self) -> np.ndarray | None:
+        """(n, 3) materials of the vertices: the mean of the faces around each, by area."""
+        if self.face_materials is None:
+            return None
+        return vertex_means(self.vertices, self.faces, self.face_materials)
+
+    def with_materials(self, face_materials: np.ndarray) -> Scan:
+        """A copy with other materials (m, 3). Raises InputError where a value cannot be."""
+        made = check_materials(face_materials, self.triangles, self.name)
+        made.setflags(write=False)
+        return replace(self, face_materials=None if np.isnan(made).all() else made)
 
 
 def load_scan(path: str | os.PathLike[str], unit: str = "mm", *, strict: bool = False) -> Scan:
@@ -74,29 +94,40 @@ def load_scan(path: str | os.PathLike[str], unit: str = "mm", *, strict: bool = 
         strict: refuse instead of repairing; sharing equal vertices is no repair.
 
     Returns:
-        The scan in mm. Its vertices are vertices of the file, scaled in float64, without any other change.
+        The scan in mm. Its vertices are vertices of the file, scaled in float64, without any other change. The faces of
+        a PLY file may have the properties `stiffness_n_mm` (or `stiffness`, in N/mm too), `friction_static` and
+        `friction_dynamic`: these become its materials.
 
     Raises:
         InputError: the file cannot be used, the unit is unknown, or it needs repair and `strict` is set.
     """
     path = Path(path)
     name, scale = _unit_mm(unit)
-    vertices, faces = read_mesh(path)
-    scan = _make(vertices * scale, faces, os.fspath(path), path.stem, path.name, name, strict)
+    held = read_mesh(path)
+    held = replace(held, vertices=held.vertices * scale)
+    scan = _make(held, os.fspath(path), path.stem, path.name, name, strict)
     notes = scan.report.notes
     if path.suffix.lower() == ".glb" and name != "m":
         notes += (f"glTF files are in metres by their standard; this one was read in {name}",)
     return replace(scan, report=replace(scan.report, notes=notes)) if notes else scan
 
 
-def scan_from_arrays(vertices: np.ndarray, faces: np.ndarray, name: str = "mesh", *, strict: bool = False) -> Scan:
+def scan_from_arrays(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    name: str = "mesh",
+    *,
+    strict: bool = False,
+    face_materials: np.ndarray | None = None,
+) -> Scan:
     """Clean a mesh given as arrays, like `load_scan`: the order of its vertices and faces changes.
 
     Args:
         vertices: (n, 3) mm. faces: (m, 3) integers in 0..n-1. name: for messages and reports.
+        face_materials: (m, 3) stiffness N/mm, static and dynamic friction per face; NaN: the station's.
 
     Raises:
-        InputError: wrong shapes, an index out of range, or nothing usable.
+        InputError: wrong shapes, an index out of range, an impossible material, or nothing usable.
     """
     points = np.asarray(vertices, dtype=np.float64)
     corners = np.asarray(faces)
@@ -106,16 +137,20 @@ def scan_from_arrays(vertices: np.ndarray, faces: np.ndarray, name: str = "mesh"
     if corners.dtype.kind not in "iu":
         raise InputError(name, f"faces are of type {corners.dtype}", "give integer indices")
     check_indices(corners, len(points), name)
-    return _make(points, corners.astype(np.int64), name, name, "arrays", "mm", strict)
+    materials = None if face_materials is None else check_materials(face_materials, len(corners), name)
+    return _make(FileMesh(points, corners.astype(np.int64), materials), name, name, "arrays", "mm", strict)
 
 
-def _make(vertices: np.ndarray, faces: np.ndarray, where: str, name: str, source: str, unit: str, strict: bool) -> Scan:
-    vertices, faces, report = clean(vertices, faces, where)
+def _make(mesh: FileMesh, where: str, name: str, source: str, unit: str, strict: bool) -> Scan:
+    vertices, faces, of_file, report = clean(mesh.vertices, mesh.faces, where)
     repaired = report.repaired()
     if strict and repaired:
         faults = ", ".join(f"{count} {fault.replace('_', ' ')}" for fault, count in repaired.items())
         raise InputError(where, f"needs repair ({faults})", "mend the scan, or load it without strict")
-    scan = Scan(vertices, faces, report, name, source, unit)
+    colours = None if mesh.colours is None else mesh.colours[of_file]
+    scan = Scan(vertices, faces, report, name, source, unit, corner_colours=colours)
+    if mesh.materials is not None:
+        scan = scan.with_materials(mesh.materials[of_file])
     vertices.setflags(write=False)
     faces.setflags(write=False)
     note = _size_note(scan.extent_mm, unit)

@@ -9,6 +9,7 @@ import struct
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +17,36 @@ import numpy as np
 
 from hapticlod.errors import InputError
 from hapticlod.ply_header import check_ply
+from hapticlod.scan_attributes import corner_colours, face_materials
 
 _EXPORT_AGAIN = "export or copy the file again"
 _STL_HEAD, _STL_FACET = 84, 50  # bytes: 80 of comment and a uint32 count; 12 floats and 2 bytes of attributes
 
 
-def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True, eq=False)
+class FileMesh:
+    """What a file holds, uncleaned.
+
+    Attributes:
+        vertices: (n, 3) float64 in the file's unit. faces: (m, 3) int64, every index in 0..n-1.
+        materials: (m, 3) of `hapticlod.material`, or None. colours: (m, 3, 3) uint8 per corner of each face, or None.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    materials: np.ndarray | None = None
+    colours: np.ndarray | None = None
+
+
+def read_mesh(path: Path) -> FileMesh:
     """Read STL (binary or ASCII), PLY, OBJ, OFF or GLB; several bodies are joined, node poses applied.
 
     Args:
         path: the file; its ending names the format.
 
-    Returns:
-        vertices (n, 3) float64 in the file's unit; faces (m, 3) int64, every index in 0..n-1. Nothing is cleaned.
-
     Raises:
-        InputError: missing, empty, cut short, not the format it claims, no faces, or an index out of range.
+        InputError: missing, empty, cut short, not the format it claims, no faces, an index out of range, or a material
+            that cannot be.
     """
     where = os.fspath(path)
     kind = path.suffix.lower().lstrip(".")
@@ -49,11 +64,14 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     bodies = list(_bodies(data, kind, where))
     if not bodies:
         raise InputError(where, "holds no triangles", "export a surface with faces")
-    sizes = np.cumsum([0] + [len(vertices) for vertices, _ in bodies])
-    for vertices, faces in bodies:
-        check_indices(faces, len(vertices), where)
-    vertices = np.concatenate([vertices for vertices, _ in bodies])
-    return vertices, np.concatenate([faces + sizes[i] for i, (_, faces) in enumerate(bodies)])
+    sizes = np.cumsum([0] + [len(body.vertices) for body in bodies])
+    colours = [body.colours for body in bodies if body.colours is not None]
+    return FileMesh(
+        np.concatenate([body.vertices for body in bodies]),
+        np.concatenate([body.faces + sizes[i] for i, body in enumerate(bodies)]),
+        bodies[0].materials if len(bodies) == 1 else None,  # only PLY has any, and it is one body
+        np.concatenate(colours) if len(colours) == len(bodies) else None,
+    )
 
 
 def check_indices(faces: np.ndarray, vertex_count: int, where: str) -> None:
@@ -144,7 +162,7 @@ def _as_utf8(data: bytes, kind: str, where: str) -> bytes:
         return data.decode("latin-1").encode("utf-8")  # a comment in an old encoding; numbers are the same
 
 
-def _bodies(data: bytes, kind: str, where: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _bodies(data: bytes, kind: str, where: str) -> Iterator[FileMesh]:
     import trimesh  # slow to import, and only needed here
 
     try:
@@ -174,7 +192,8 @@ def _bodies(data: bytes, kind: str, where: str) -> Iterator[tuple[np.ndarray, np
             vertices = vertices @ pose[:3, :3].T + pose[:3, 3]
             if np.linalg.det(pose[:3, :3]) < 0.0:
                 faces = faces[:, ::-1]
-        yield vertices, faces
+        check_indices(faces, len(vertices), where)
+        yield FileMesh(vertices, faces, face_materials(part, len(faces), where), corner_colours(part, faces))
     if points and not found:
         raise InputError(where, f"is a point cloud ({points} points, no faces)", "mesh it first, then give the surface")
 

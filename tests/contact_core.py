@@ -27,12 +27,19 @@ def point_or_ball(radius_mm: float) -> np.ndarray:
 
 
 class Core:
-    """Levels, one tool, one configuration."""
+    """Levels, one tool, one configuration. `materials`: per level (n, 3) at its vertices, or None."""
 
-    def __init__(self, meshes: list, tool: np.ndarray, cell_mm: float = 1.0, **fields: Any) -> None:
+    def __init__(
+        self, meshes: list, tool: np.ndarray, cell_mm: float = 1.0, *, materials: list | None = None, **fields: Any
+    ) -> None:
         self.levels = [
-            _runtime.Level(np.ascontiguousarray(v, dtype=np.float32), np.ascontiguousarray(f, dtype=np.uint32), cell_mm)
-            for v, f in meshes
+            _runtime.Level(
+                np.ascontiguousarray(v, dtype=np.float32),
+                np.ascontiguousarray(f, dtype=np.uint32),
+                cell_mm,
+                None if made_of is None else np.ascontiguousarray(made_of, dtype=np.float32),
+            )
+            for (v, f), made_of in zip(meshes, materials or [None] * len(meshes), strict=True)
         ]
         self.config = core_config(len(meshes), **fields)
         self.renderer = _runtime.Renderer(self.levels, self.config.tobytes(), np.ascontiguousarray(tool, np.float64))

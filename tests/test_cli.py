@@ -137,6 +137,17 @@ class TestOtherFiles:
         tool.write_text("name = \n")
         assert "burr.toml:1" in refused(capsys, "tune", scan_file, "-o", tool.with_suffix(".hlod"), "--tool", tool)
 
+    def test_materials_that_cannot_be(self, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        made_of = scan_file.parent / "map.toml"
+        for text, named in (
+            ("[default]\nstiffness_n_mm = 0\n", "map.toml:2:1: default.stiffness_n_mm"),
+            ("[[material]]\ncomponent = 1\nstiffness_n_mm = 1\n", "map.toml:2:1: there is no component 1"),
+            ("[[material]]\ncolour = [1, 2, 3]\nstiffness_n_mm = 1\n", "map.toml:2:1: tetrahedron has no colours"),
+        ):
+            made_of.write_text(text)
+            line = refused(capsys, "tune", scan_file, "-o", scan_file.parent / "x.hlod", "--materials", made_of)
+            assert named in line
+
     @pytest.mark.parametrize("option", ["--budget-us=0", "--budget-us=-5", "--loop-hz=0", "--budget-us=nan"])
     def test_stations_that_cannot_be(self, option: str, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
         line = refused(capsys, "tune", scan_file, "-o", scan_file.with_suffix(".hlod"), option)

@@ -11,6 +11,7 @@ import numpy as np
 
 import hapticlod
 from hapticlod.bundle import write_bundle
+from hapticlod.material import COLUMNS
 from hapticlod.replay import Record, replay_levels, runtime_levels
 
 if TYPE_CHECKING:
@@ -91,6 +92,7 @@ def write_tuned(path: Path, result: TuneResult, scan: Scan, station: Station, to
                 "triangles": scan.triangles,
                 "extent_mm": scan.extent_mm,
                 "digest": scan.digest,
+                "materials": _materials(scan),
             },
             "tool": {"name": tool.name, "balls": tool.balls, "digest": tool.digest},
             "station": station.model_dump(mode="json"),
@@ -102,6 +104,14 @@ def write_tuned(path: Path, result: TuneResult, scan: Scan, station: Station, to
         golden_motion=golden,
         golden_record=record.rows,
     )
+
+
+def _materials(scan: Scan) -> dict[str, list[float]] | None:
+    """Least and most of each property; None where everything is the station's."""
+    if scan.face_materials is None:
+        return None
+    stated = {name: column[~np.isnan(column)] for name, column in zip(COLUMNS, scan.face_materials.T, strict=True)}
+    return {name: [float(x.min()), float(x.max())] for name, x in stated.items() if len(x)}
 
 
 def _variety(record: Record) -> tuple[int, int]:

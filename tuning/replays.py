@@ -53,9 +53,14 @@ class Bench:
         level = Level(triangles=self.grid.triangles[rung], cell_mm=self.grid.cell_mm(rung, cell), balls=balls)
         return LodConfig(levels=(level,))
 
-    def renderer(self, levels: list[Any], scalar: Any) -> Any:
-        """A renderer of these levels; `scalar` is a CONFIG_DTYPE scalar."""
-        return _runtime.Renderer(levels, scalar.tobytes(), self.tool.rows)
+    def renderer(self, levels: list[Any], scalar: Any, material_friction: bool = True) -> Any:
+        """A renderer of these levels; `scalar` is a CONFIG_DTYPE scalar. The friction of materials can be left out."""
+        return _runtime.Renderer(levels, scalar.tobytes(), self.tool.rows, material_friction)
+
+    @property
+    def has_materials(self) -> bool:
+        """Whether the scan has any."""
+        return self.rungs[0].materials is not None
 
 
 def run(renderer: Any, motion: Motion, repeats: int, floors: NDArray[np.uint32] | None = None) -> NDArray:
@@ -80,7 +85,8 @@ class Tour:
     """What switching at every instant gave.
 
     Attributes:
-        offset_n: (R, B, I, 3) stiffness times (SCP there - SCP of the finest level with all balls).
+        offset_n: (R, B, I, 3) stiffness times (SCP there - SCP of the finest level with all balls); where the scan has
+            materials, the difference of the forces.
         gap_mm: (R, B, I) how far the level's surface lies outward of the finest level's where that is touched, along
             the force: what a mapping has to bridge. The SCP may slide much further once it has arrived.
         held: (R, B, I) whether the level was in contact, the hand being where it was.
@@ -122,7 +128,10 @@ def tour_ladder(
     routes = [_Route(m, rows, clock, _PRESSED_SHARE * l_mm) for m, rows in zip(motions, finest, strict=True)]
 
     def go(leg: list[tuple[int, int]]) -> None:
-        renderer = bench.renderer([levels[r] for r, _ in leg], unreached_levels(bench, plain, leg, l_mm))
+        scalar = np.array(unreached_levels(bench, plain, leg, l_mm))
+        if bench.has_materials:
+            scalar["max_force_n"] = scalar["engage_s"] = 0.0  # forces are compared: none may be limited
+        renderer = bench.renderer([levels[r] for r, _ in leg], scalar, material_friction=False)
         rows = np.concatenate([route.replayed(renderer, len(leg)) for route in routes])
         base, contact = rows["scp_mm"][:, 0], rows["contact"][:, 0] == 1
         out = base - rows["hip_mm"][:, 0]
@@ -132,7 +141,11 @@ def tour_ladder(
             pressed, slid = rows[:, at], rows[:, at + 1]
             held[r, b] = slid["contact"] == 1 if stop else contact
             if stop:
-                offset[r, b] = bench.station.stiffness_n_mm * (slid["scp_mm"] - base)
+                offset[r, b] = (
+                    slid["force_n"] - rows["force_n"][:, 0]
+                    if bench.has_materials
+                    else bench.station.stiffness_n_mm * (slid["scp_mm"] - base)
+                )
                 gap[r, b] = np.einsum("ij,ij->i", pressed["scp_mm"] - base, normal) * contact
 
     with ThreadPoolExecutor(threads) as pool:

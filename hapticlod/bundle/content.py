@@ -10,11 +10,13 @@ from hapticlod.layout import (
     CONFIG_VERSION,
     MAPPED_MISS,
     MAPPING_TWO_SIDED,
+    MATERIAL_DTYPE,
     MAX_BALLS,
     MAX_LEVELS,
     NO_NEIGHBOUR,
     POLICY_DISTANCE,
 )
+from hapticlod.material import AS_STATION, MOST_FRICTION, STIFFEST_N_MM
 
 # Least and most of each field; runtime/core/config_check.cpp has the same table.
 _RANGES: Final = {
@@ -105,6 +107,22 @@ def mesh_fault(vertices: np.ndarray, faces: np.ndarray) -> str:
     if not np.isfinite(vertices).all():
         return "a vertex is not finite"
     return "a face index is out of range" if (faces >= len(vertices)).any() else ""
+
+
+def materials_fault(materials: np.ndarray, vertices: int) -> str:
+    """`materials` (n,) of MATERIAL_DTYPE."""
+    if len(materials) != vertices:
+        return "materials and vertices differ in number"
+    stiffness, static, dynamic = (materials[name] for name in MATERIAL_DTYPE.names or ())
+    free = (static == AS_STATION) & (dynamic == AS_STATION)
+    for good, what in (
+        ((stiffness == AS_STATION) | ((stiffness > 0) & (stiffness <= STIFFEST_N_MM)), "stiffness is out of range"),
+        (free | ((static >= 0) & (static <= MOST_FRICTION)), "static friction is out of range"),
+        (free | ((dynamic >= 0) & (dynamic <= static)), "dynamic friction is negative or exceeds its static friction"),
+    ):
+        if not good.all():
+            return f"a material's {what}"
+    return ""
 
 
 def level_fault(arrays: dict[str, np.ndarray]) -> str:

@@ -6,7 +6,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from hapticlod.layout import BALL_DTYPE, BLOCK_DTYPE, BRICK_DTYPE, CONFIG_DTYPE, HASH_DTYPE, RECORD_DTYPE
+from hapticlod.layout import (
+    BALL_DTYPE,
+    BLOCK_DTYPE,
+    BRICK_DTYPE,
+    CONFIG_DTYPE,
+    HASH_DTYPE,
+    MATERIAL_DTYPE,
+    RECORD_DTYPE,
+)
 
 MAGIC: Final = b"\x89HLOD\r\n\x1a"
 VERSION: Final = 1
@@ -58,6 +66,7 @@ class SectionType(IntEnum):
     BRICKS = 22
     CELLS = 23
     BLOCKS = 24
+    MATERIALS = 25
     GOLDEN_MOTION = 32
     GOLDEN_RECORD = 33
     SIGNATURE = 48
@@ -66,7 +75,8 @@ class SectionType(IntEnum):
 ACCELERATION: Final = tuple(SectionType(number) for number in range(18, 25))
 """Sections that speed a level up and can be rebuilt from its vertices and faces."""
 
-LEVEL_SECTIONS: Final = (SectionType.VERTICES, SectionType.FACES, *ACCELERATION)
+LEVEL_SECTIONS: Final = (SectionType.VERTICES, SectionType.FACES, *ACCELERATION, SectionType.MATERIALS)
+"""Sections that belong to a level; MATERIALS are there only where the scan has any."""
 
 # What one element of a section is: a section's length is a whole number of them.
 ELEMENT: Final[dict[SectionType, np.dtype[Any]]] = {
@@ -82,6 +92,7 @@ ELEMENT: Final[dict[SectionType, np.dtype[Any]]] = {
     SectionType.BRICKS: BRICK_DTYPE,
     SectionType.CELLS: np.dtype("<u4"),
     SectionType.BLOCKS: BLOCK_DTYPE,
+    SectionType.MATERIALS: MATERIAL_DTYPE,
     SectionType.GOLDEN_MOTION: MOTION_DTYPE,
     SectionType.GOLDEN_RECORD: RECORD_DTYPE,
     SectionType.SIGNATURE: np.dtype("u1"),

@@ -36,12 +36,14 @@ class BundleLevel:
         cell_mm: edge of its voxels.
         acceleration: adjacency, normals, hash, table, bricks, cells, blocks; None where the bundle has them in a
             version that this program does not know (the runtime rebuilds them).
+        materials: (n,) of `hapticlod.layout.MATERIAL_DTYPE`; None where everything is the station's.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     cell_mm: float
     acceleration: dict[str, np.ndarray] | None
+    materials: np.ndarray | None = None
 
     @property
     def triangles(self) -> int:
@@ -52,7 +54,7 @@ class BundleLevel:
     def bytes(self) -> int:
         """What the level takes in memory, as far as it is stored."""
         stored = [self.vertices, self.faces, *(self.acceleration or {}).values()]
-        return sum(array.nbytes for array in stored)
+        return sum(array.nbytes for array in stored) + (0 if self.materials is None else self.materials.nbytes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +188,10 @@ def _level(reader: _Reader, config: Any, number: int) -> BundleLevel:
     if len(faces) != config["triangles"][number]:
         reader.refuse(where, f"has {len(faces)} triangles, its config says {config['triangles'][number]}")
     cell_mm = float(config["cell_mm"][number])
+    materials = None
+    if reader.has(SectionType.MATERIALS, number):
+        materials = reader.array(SectionType.MATERIALS, number)
+        reader.refuse(where, content.materials_fault(materials, len(vertices)))
     acceleration = None
     if all(reader.has(kind, number) for kind in ACCELERATION):
         acceleration = {kind.name.lower(): reader.array(kind, number) for kind in ACCELERATION}
@@ -194,7 +200,7 @@ def _level(reader: _Reader, config: Any, number: int) -> BundleLevel:
             reader.refuse(where, "its hash has another cell_mm than its config")
     elif not (cell_mm > 0 and np.isfinite(cell_mm)):
         reader.refuse(where, "cell_mm is not positive and finite")
-    return BundleLevel(vertices, faces, cell_mm, acceleration)
+    return BundleLevel(vertices, faces, cell_mm, acceleration, materials)
 
 
 def _golden(

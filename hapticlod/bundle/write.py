@@ -34,7 +34,8 @@ class LevelLike(Protocol):
     """A built level, as `hapticlod._runtime.Level` gives it."""
 
     def arrays(self) -> Mapping[str, Any]:
-        """Buffers by section name: vertices, faces, adjacency, normals, hash, table, bricks, cells, blocks."""
+        """Buffers by section name: vertices, faces, adjacency, normals, hash, table, bricks, cells, blocks; materials
+        where there are any."""
         ...
 
 
@@ -134,7 +135,8 @@ def _sections(
             raise ValueError(
                 f"level {number} has {faces} triangles, its config says {int(settings['triangles'][0][number])}"
             )
-        sections += [(kind, number, _buffer(arrays[kind.name.lower()])) for kind in LEVEL_SECTIONS]
+        kinds = [kind for kind in LEVEL_SECTIONS if kind != SectionType.MATERIALS or "materials" in arrays]
+        sections += [(kind, number, _buffer(arrays[kind.name.lower()])) for kind in kinds]
     if (golden_motion is None) != (golden_record is None):
         raise ValueError("give a golden motion and its record, or neither")
     if golden_motion is not None and golden_record is not None:

@@ -32,14 +32,22 @@ using Balls = nb::ndarray<const double, nb::shape<-1, 4>, nb::c_contig, nb::devi
 
 class Level {
 public:
-    Level(const FloatRows& vertices, const IndexRows& faces, double cell_mm) {
+    Level(const FloatRows& vertices, const IndexRows& faces, double cell_mm,
+          const std::optional<FloatRows>& materials) {
         std::string fault;
+        std::vector<hapticlod::Material> made;
+        if (materials) {
+            made.resize(materials->shape(0));
+            if (made.empty()) throw std::invalid_argument("materials are given, but there are none");
+            std::memcpy(made.data(), materials->data(), made.size() * sizeof(made[0]));
+        }
         {
             const std::span<const float> v{vertices.data(), vertices.size()};
             const std::span<const std::uint32_t> f{faces.data(), faces.size()};
             const nb::gil_scoped_release free_gil;
             const auto start = std::chrono::steady_clock::now();
             fault = storage_.build(v, f, cell_mm);
+            if (fault.empty()) fault = storage_.set_materials(made);
             build_ms_ = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
         }
         if (!fault.empty()) throw std::invalid_argument(fault);
@@ -64,12 +72,13 @@ nb::dict level_arrays(const Level& level) {
     put("vertices", v.vertices), put("faces", v.faces), put("adjacency", v.adjacency), put("normals", v.normals);
     out["hash"] = as_bytes(v.hash, sizeof(*v.hash));
     put("table", v.table), put("bricks", v.bricks), put("cells", v.cells), put("blocks", v.blocks);
+    if (!v.materials.empty()) put("materials", v.materials);
     return out;
 }
 
 class Renderer {
 public:
-    Renderer(const nb::list& levels, const nb::bytes& config, const Balls& balls) {
+    Renderer(const nb::list& levels, const nb::bytes& config, const Balls& balls, bool material_friction) {
         if (config.size() != sizeof(hapticlod::ConfigData)) throw std::invalid_argument("config has the wrong size");
         hapticlod::ConfigData data;
         std::memcpy(&data, config.data(), sizeof(data));
@@ -77,6 +86,10 @@ public:
         for (const nb::handle level : levels) {
             views.push_back(nb::cast<const Level&>(level).view());
             keep_.append(level);
+            if (material_friction || views.back().materials.empty()) continue;
+            auto& smooth = smooth_.emplace_back(views.back().materials.begin(), views.back().materials.end());
+            for (hapticlod::Material& m : smooth) m.friction_static = m.friction_dynamic = hapticlod::kAsStation;
+            views.back().materials = smooth;
         }
         std::vector<hapticlod::BallData> tool(balls.shape(0));
         for (std::size_t i = 0; i < tool.size(); ++i) tool[i] = {{balls(i, 0), balls(i, 1), balls(i, 2)}, balls(i, 3)};
@@ -129,7 +142,8 @@ public:
     [[nodiscard]] std::size_t scratch_bytes() const { return renderer_.scratch_bytes(); }
 
 private:
-    nb::list keep_;  // the levels' memory must outlive the renderer
+    nb::list keep_;                                         // the levels' memory must outlive the renderer
+    std::vector<std::vector<hapticlod::Material>> smooth_;  // moved, their elements stay where they are
     hapticlod::Renderer renderer_;
 };
 
@@ -143,11 +157,14 @@ NB_MODULE(_runtime, m) {
     m.attr("HASH_SIZE") = sizeof(hapticlod::HashHeader);
     m.attr("BRICK_SIZE") = sizeof(hapticlod::Brick);
     m.attr("BLOCK_SIZE") = sizeof(hapticlod::TriBlock);
+    m.attr("MATERIAL_SIZE") = sizeof(hapticlod::Material);
     m.def(
         "kernels", [] { return hapticlod::best_kernels().name; }, "Name of the kernels in use on this processor.");
 
     nb::class_<Level>(m, "Level", "A mesh and its voxel hash. vertices (n, 3) float32 mm, faces (m, 3) uint32.")
-        .def(nb::init<const FloatRows&, const IndexRows&, double>(), "vertices"_a, "faces"_a, "cell_mm"_a)
+        .def(nb::init<const FloatRows&, const IndexRows&, double, const std::optional<FloatRows>&>(), "vertices"_a,
+             "faces"_a, "cell_mm"_a, "materials"_a = nb::none(),
+             "materials (n, 3) float32: stiffness N/mm, static and dynamic friction per vertex; -1: the station's.")
         .def_prop_ro("triangles", [](const Level& l) { return l.view().triangle_count(); })
         .def_prop_ro("bytes", [](const Level& l) { return l.view().bytes(); })
         .def_prop_ro("cell_mm", [](const Level& l) { return l.view().hash->cell_mm; })
@@ -155,7 +172,8 @@ NB_MODULE(_runtime, m) {
         .def("arrays", &level_arrays, "The arrays as bytes, by section name.");
 
     nb::class_<Renderer>(m, "Renderer", "The tick over some levels, for one tool. balls (P, 4): x, y, z, radius in mm.")
-        .def(nb::init<const nb::list&, const nb::bytes&, const Balls&>(), "levels"_a, "config"_a, "balls"_a)
+        .def(nb::init<const nb::list&, const nb::bytes&, const Balls&, bool>(), "levels"_a, "config"_a, "balls"_a,
+             "material_friction"_a = true, "material_friction: false leaves the levels' own friction aside.")
         .def("replay", &Renderer::replay, "time_s"_a, "position_mm"_a, "orientation"_a = nb::none(), "repeats"_a = 1,
              "floors"_a = nb::none(), "floors (n,) uint32: the coarsest floor set before each tick.")
         .def("tick", &Renderer::tick, "time_s"_a, "position_mm"_a, "orientation"_a = nb::none())

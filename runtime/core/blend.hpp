@@ -18,6 +18,9 @@ public:
     }
     void advance(double dt_s) { left_s_ = std::max(left_s_ - dt_s, 0.0); }
 
+    // What is left of a step that fades with time alone.
+    [[nodiscard]] double share() const { return left_s_ > 0.0 ? left_s_ / duration_s_ : 0.0; }
+
     [[nodiscard]] Vec3 rendered(const Vec3& scp, double depth_mm) const {
         if (left_s_ <= 0.0) return scp;
         const double fade = depth_mm_ > 0.0 ? std::min(depth_mm / depth_mm_, 1.0) : 1.0;

@@ -133,12 +133,21 @@ void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCoun
             touches_[at] = touch;
         }
     }
+    touch_count_ = count;
     planes_.count = 0;
     for (std::size_t i = 0; i < count && planes_.count < kMaxPlanes; ++i) {
         const ContactPlane& plane = touches_[i].plane;
         if (!separated(candidates_.triangle(plane.block, plane.lane), balls[plane.ball].kept))
             planes_.planes[planes_.count++] = plane;
     }
+}
+
+std::span<const ContactSolver::Touch> ContactSolver::touches(std::span<const SolverBall> balls,
+                                                             TickCounters& counters) {
+    next_stamp();  // the last step was not followed by a look
+    local_ = x_ - candidates_.centre();
+    collect_touching(balls, counters);
+    return {touches_.data(), touch_count_};
 }
 
 // Does every active plane still come from the inside of its face, seen from local_? Then it is the same plane.

@@ -87,6 +87,15 @@ public:
     // is a hint of where the tool is going.
     Contact advance(const Vec3& hip, std::span<const SolverBall> balls, const Vec3& motion, TickCounters& counters);
 
+    // Everything that touches the tool where advance() left it, at its clearance: also what an active plane hides
+    // because it lies behind it. Points are relative to the candidates' centre. Looks again, so ask only where it is
+    // needed.
+    struct Touch {
+        double clearance;
+        ContactPlane plane;
+    };
+    [[nodiscard]] std::span<const Touch> touches(std::span<const SolverBall> balls, TickCounters& counters);
+
     // Lists what is near the present position, or a point ahead of it, see Candidates::gather.
     double gather(double reach, std::span<const SolverBall> balls, TickCounters& counters, const Vec3& ahead = {});
     Candidates& candidates() { return candidates_; }
@@ -100,11 +109,6 @@ public:
 
 private:
     static constexpr std::size_t kMaxTouches = 256;
-
-    struct Touch {
-        double clearance;
-        ContactPlane plane;
-    };
 
     [[nodiscard]] double wanted_reach(double motion_mm) const;
     double gather_ahead(const Vec3& motion, std::span<const SolverBall> balls, TickCounters& counters);
@@ -147,6 +151,7 @@ private:
     ContactPlane last_touch_;
     bool touched_ = false;
     std::vector<Touch> touches_;
+    std::size_t touch_count_ = 0;
     std::vector<BallSide> sides_;
 };
 

@@ -98,6 +98,15 @@ static_assert(sizeof(TickRecord) == 144);
 
 inline constexpr std::uint32_t kNoNeighbour = 0xffffffffu;
 
+// What the surface is made of at one vertex (docs/materials.md). kAsStation: not stated, so it is the station's.
+inline constexpr float kAsStation = -1.0f;
+struct Material {
+    float stiffness_n_mm;  // never more than the station's is rendered
+    float friction_static;
+    float friction_dynamic;  // at most the static one; both are stated or neither
+};
+static_assert(sizeof(Material) == 12);
+
 // Eight triangles of one cell, structure of arrays, 64-byte aligned. Unused lanes repeat lane 0 and carry
 // id kNoNeighbour.
 struct alignas(64) TriBlock {

@@ -23,12 +23,14 @@ struct LevelView {
     std::span<const Brick> bricks;
     std::span<const std::uint32_t> cells;  // cell_count + 1
     std::span<const TriBlock> blocks;
+    std::span<const Material> materials;  // one per vertex, or none: then everything is the station's
 
     [[nodiscard]] std::uint32_t triangle_count() const { return static_cast<std::uint32_t>(faces.size() / 3); }
     [[nodiscard]] std::uint32_t vertex_count() const { return static_cast<std::uint32_t>(vertices.size() / 3); }
     [[nodiscard]] std::size_t bytes() const {
         return vertices.size_bytes() + faces.size_bytes() + adjacency.size_bytes() + normals.size_bytes() +
-               sizeof(HashHeader) + table.size_bytes() + bricks.size_bytes() + cells.size_bytes() + blocks.size_bytes();
+               sizeof(HashHeader) + table.size_bytes() + bricks.size_bytes() + cells.size_bytes() +
+               blocks.size_bytes() + materials.size_bytes();
     }
 };
 
@@ -50,6 +52,8 @@ public:
     // otherwise returns the reason (empty string: success).
     [[nodiscard]] std::string build(std::span<const float> vertices, std::span<const std::uint32_t> faces,
                                     double cell_mm);
+    // One per vertex of the mesh that was built, or none. Returns the reason where they cannot be (empty: success).
+    [[nodiscard]] std::string set_materials(std::span<const Material> materials);
     [[nodiscard]] LevelView view() const;
 
 private:
@@ -57,6 +61,7 @@ private:
     std::vector<std::uint32_t> faces_, adjacency_, table_, cells_;
     std::vector<Brick> bricks_;
     std::vector<TriBlock> blocks_;
+    std::vector<Material> materials_;
     HashHeader header_{};
 };
 

@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "core/level.hpp"
+#include "core/material.hpp"
 #include "core/morton.hpp"
 #include "core/triangle.hpp"
 
@@ -326,8 +327,14 @@ std::string LevelStorage::build(std::span<const float> vertices, std::span<const
     return {};
 }
 
+std::string LevelStorage::set_materials(std::span<const Material> materials) {
+    if (std::string fault = check_materials(materials, vertices_.size() / 3); !fault.empty()) return fault;
+    materials_.assign(materials.begin(), materials.end());
+    return {};
+}
+
 LevelView LevelStorage::view() const {
-    return {vertices_, faces_, adjacency_, normals_, &header_, table_, bricks_, cells_, blocks_};
+    return {vertices_, faces_, adjacency_, normals_, &header_, table_, bricks_, cells_, blocks_, materials_};
 }
 
 }  // namespace hapticlod

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "core/level.hpp"
+#include "core/material.hpp"
 #include "core/morton.hpp"
 
 namespace hapticlod {
@@ -75,7 +76,7 @@ std::string check_level(const LevelView& view) {
                     return "a block's corners differ from the mesh";
         }
     }
-    return {};
+    return check_materials(view.materials, nv);
 }
 
 }  // namespace hapticlod

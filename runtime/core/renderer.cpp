@@ -11,6 +11,7 @@
 #include "core/force_gate.hpp"
 #include "core/inside.hpp"
 #include "core/mapping.hpp"
+#include "core/material.hpp"
 #include "core/speed.hpp"
 #include "core/surface.hpp"
 #include "core/switching.hpp"
@@ -42,6 +43,10 @@ struct Renderer::State {
     Contact contact;
     Vec3 shade;  // what force shading adds to the contact's SCP: the force points from the HIP to scp + shade
     ContactMemory memory;
+    bool has_materials = false;  // on any level: without, `felt` stays the station's
+    FeltMaterial felt;           // what the force is made with: `touched`, after a level switch `switched` at first
+    FeltMaterial touched;        // of the last contact that was not held by friction
+    FeltMaterial switched;       // what was felt when the level changed
 
     [[nodiscard]] std::span<const SolverBall> tool(std::uint32_t level) const {
         return {balls.data(), std::min<std::size_t>(config.balls[level], balls.size())};
@@ -71,10 +76,14 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
     if (tool.empty() || tool.size() > kMaxBalls) return "a tool needs 1 to 4096 balls";
     for (const LevelView& level : levels)
         if (level.hash == nullptr || level.triangle_count() == 0) return "a level is empty";
+    for (const LevelView& level : levels)
+        if (std::string fault = check_materials(level.materials, level.vertex_count()); !fault.empty()) return fault;
     State& s = *state_;
     s.config = config;
     s.levels.clear();
     for (const LevelView& level : levels) s.levels.emplace_back(level);
+    s.has_materials =
+        std::any_of(levels.begin(), levels.end(), [](const LevelView& l) { return !l.materials.empty(); });
     const HashHeader& h = *levels[0].hash;
     s.extent_mm =
         norm(Vec3{h.bbox_max[0] - h.bbox_min[0], h.bbox_max[1] - h.bbox_min[1], h.bbox_max[2] - h.bbox_min[2]});
@@ -112,6 +121,7 @@ void Renderer::State::forget() {
     const double identity[4] = {1.0, 0.0, 0.0, 0.0};
     turn(identity);
     std::copy(identity, identity + 4, asked);
+    felt = touched = FeltMaterial::of_station(config);
     solver.bind(levels[0], best_kernels(), tolerances);
 }
 
@@ -284,8 +294,10 @@ MappingOutcome Renderer::State::switch_level(std::uint32_t from, std::uint32_t t
     contact.active = 0;  // friction holds nothing of the old level
     if (outcome != MappingOutcome::miss && config.blend_s > 0.0) {
         touch(to, last_hip, {}, counters);
-        if (contact.active > 0)
+        if (contact.active > 0) {
             blend.begin(rendered - contact.scp - shade, config.blend_s, norm(contact.scp - last_hip));
+            switched = felt;
+        }
     }
     return outcome;
 }
@@ -296,13 +308,15 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, const Vec3&
     const bool held = contact.active > 0;
     const Vec3 from = solver.position(), anchor = contact.scp;
     Contact free = solver.advance(target, tool(level), motion, counters);
-    if (config.friction_static > 0.0 && held && free.active > 0) {
+    bool stuck = false;
+    if (felt.friction_static > 0.0 && held && free.active > 0) {
         const double depth = norm(free.scp - target), pull = norm(free.scp - anchor);
-        if (pull <= config.friction_static * depth) {
+        if (pull <= felt.friction_static * depth) {
             solver.place(from);
             free.scp = anchor;
-        } else if (config.friction_dynamic > 0.0 && pull > 0.0) {
-            const double trail = std::min(config.friction_dynamic * depth / pull, 1.0);
+            stuck = true;
+        } else if (felt.friction_dynamic > 0.0 && pull > 0.0) {
+            const double trail = std::min(felt.friction_dynamic * depth / pull, 1.0);
             solver.place(from);
             const Contact slid = solver.advance(target + (anchor - free.scp) * trail, tool(level), motion, counters);
             if (slid.active > 0) free = slid;
@@ -312,6 +326,8 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, const Vec3&
     shade = {};
     if (contact.active == 0) return;
     if (contact.between) return;
+    if (has_materials && !stuck)  // where friction holds the tool, it stays on what it lies on
+        touched = contact_material(levels[level].view, config, contact, solver, tool(level), counters);
     shade = shading(level);
     int strongest = 0;
     for (int i = 1; i < contact.active; ++i)
@@ -341,7 +357,7 @@ Vec3 Renderer::State::shading(std::uint32_t level) const {
 
 Vec3 Renderer::State::force(const Vec3& pulled_to) const {
     const Vec3 d = pulled_to - hip;
-    const Vec3 spring = d * config.stiffness_n_mm;
+    const Vec3 spring = d * felt.stiffness_n_mm;
     const Vec3 damped = spring - speed.velocity() * config.damping_n_s_mm;
     // Damping resists; it never pulls the tool onto the surface.
     const double size2 = norm2(d);
@@ -382,6 +398,7 @@ void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
     if (s.contact.active > 0) {
         const Vec3 pulled_to = s.blend.rendered(s.contact.scp + s.shade, norm(s.contact.scp - s.hip));
         scp = pulled_to - s.shade;
+        if (s.has_materials) s.felt = between(s.touched, s.switched, s.blend.share());
         force = s.force(pulled_to);
     } else {
         s.blend.reset();
@@ -392,7 +409,7 @@ void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
     Vec3 torque;
     for (int i = 0; i < s.contact.active; ++i)
         torque += cross(s.contact.planes[i].point - s.contact.scp,
-                        s.contact.planes[i].normal * (s.contact.multiplier[i] * s.config.stiffness_n_mm));
+                        s.contact.planes[i].normal * (s.contact.multiplier[i] * s.felt.stiffness_n_mm));
     const Vec3 origin = load3(s.config.origin_mm);
     (s.hip + origin).store(out.hip_mm);
     (scp + origin).store(out.scp_mm);

@@ -113,13 +113,19 @@ std::string Bundle::load_level(std::uint32_t level) {
                std::to_string(config_->triangles[level]);
     }
 
+    if (find(SectionType::materials, level) != nullptr) {
+        if (std::string reason = take(SectionType::materials, level, view.materials); !reason.empty()) return reason;
+        if (view.materials.empty()) return at + "materials and vertices differ in number";
+    }
+
     bool usable = true;  // every acceleration section is there in a version that this runtime knows
     for (auto type = static_cast<std::uint32_t>(SectionType::adjacency); is_acceleration(type); ++type) {
         usable = usable && find(static_cast<SectionType>(type), level) != nullptr;
     }
     if (!usable) {
         auto storage = std::make_unique<LevelStorage>();
-        const std::string reason = storage->build(view.vertices, view.faces, config_->cell_mm[level]);
+        std::string reason = storage->build(view.vertices, view.faces, config_->cell_mm[level]);
+        if (reason.empty()) reason = storage->set_materials(view.materials);
         if (!reason.empty()) return at + reason;
         levels_.push_back(storage->view());
         storage_.push_back(std::move(storage));

@@ -43,6 +43,7 @@ enum class SectionType : std::uint32_t {
     bricks = 22,
     cells = 23,
     blocks = 24,
+    materials = 25,  // only where the scan has any; a reader may not do without
     golden_motion = 32,
     golden_record = 33,
     signature = 48,
@@ -69,7 +70,7 @@ inline constexpr std::uint32_t kSectionVersion = 1;
 
 [[nodiscard]] constexpr bool is_level_section(std::uint32_t type) {
     return type >= static_cast<std::uint32_t>(SectionType::vertices) &&
-           type <= static_cast<std::uint32_t>(SectionType::blocks);
+           type <= static_cast<std::uint32_t>(SectionType::materials);
 }
 
 // Name of a section type, "unknown" where this runtime has none.
@@ -99,6 +100,8 @@ inline constexpr std::uint32_t kSectionVersion = 1;
             return "CELLS";
         case SectionType::blocks:
             return "BLOCKS";
+        case SectionType::materials:
+            return "MATERIALS";
         case SectionType::golden_motion:
             return "GOLDEN_MOTION";
         case SectionType::golden_record:

@@ -74,6 +74,7 @@ std::string as_json(const Bundle& bundle) {
             .field("cell_mm", level.hash->cell_mm)
             .field("balls", bundle.config().balls[i])
             .field("bytes", std::uint64_t{level.bytes()})
+            .field("materials", !level.materials.empty())
             .field("rebuilt", bundle.rebuilt(i))
             .close();
     }
@@ -93,9 +94,10 @@ void print_text(const Bundle& bundle) {
                 config.stiffness_n_mm, config.max_force_n);
     for (std::uint32_t i = 0; i < config.level_count; ++i) {
         const LevelView& level = bundle.levels()[i];
-        std::printf("  level %u: %u triangles, cell %.3g mm, %u of %zu balls, %.1f MB%s", i, level.triangle_count(),
+        std::printf("  level %u: %u triangles, cell %.3g mm, %u of %zu balls, %.1f MB%s%s", i, level.triangle_count(),
                     level.hash->cell_mm, config.balls[i], bundle.tool().size(),
-                    static_cast<double>(level.bytes()) * 1e-6, bundle.rebuilt(i) ? " (rebuilt here)" : "");
+                    static_cast<double>(level.bytes()) * 1e-6, bundle.rebuilt(i) ? " (rebuilt here)" : "",
+                    level.materials.empty() ? "" : ", with materials");
         if (i + 1 < config.level_count) std::printf(", up to %.3g mm/s", config.speeds_mm_s[i]);
         std::printf("\n");
     }

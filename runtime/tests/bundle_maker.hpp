@@ -146,13 +146,30 @@ inline std::vector<TickRecord> render(Renderer& renderer, std::span<const Motion
     return records;
 }
 
-inline MadeBundle plate_bundle() {
+// Two materials, told apart by x, and vertices that say nothing.
+inline std::vector<Material> two_materials(const LevelView& level) {
+    std::vector<Material> made(level.vertex_count());
+    for (std::size_t i = 0; i < made.size(); ++i) {
+        const float x = level.vertices[3 * i];
+        made[i] = x < -2.0f  ? Material{0.4f, 0.3f, 0.2f}
+                  : x < 2.0f ? Material{0.8f, 0.1f, 0.1f}
+                             : Material{kAsStation, kAsStation, kAsStation};
+    }
+    return made;
+}
+
+inline MadeBundle plate_bundle(bool with_materials = false) {
     const ConfigData config = plate_config();
     const std::vector<BallData> tool(1);
-    const std::vector<LevelStorage> storage = [] {
+    const std::vector<LevelStorage> storage = [with_materials] {
         std::vector<LevelStorage> levels;
         levels.push_back(plate(6, 1.5));
         levels.push_back(plate(3, 3.0));
+        for (LevelStorage& level : levels) {
+            if (!with_materials) continue;
+            const std::string fault = level.set_materials(two_materials(level.view()));
+            if (!fault.empty()) throw std::runtime_error(fault);
+        }
         return levels;
     }();
     const std::vector<LevelView> levels = {storage[0].view(), storage[1].view()};
@@ -177,6 +194,7 @@ inline MadeBundle plate_bundle() {
         made.at(SectionType::bricks, i).bytes = bytes_of(level.bricks);
         made.at(SectionType::cells, i).bytes = bytes_of(level.cells);
         made.at(SectionType::blocks, i).bytes = bytes_of(level.blocks);
+        if (with_materials) made.at(SectionType::materials, i).bytes = bytes_of(level.materials);
     }
     made.at(SectionType::golden_motion).bytes = bytes_of(std::span(motion));
     made.at(SectionType::golden_record).bytes = bytes_of(std::span(record));

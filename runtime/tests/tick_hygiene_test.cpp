@@ -149,11 +149,20 @@ struct Scene {
     LevelStorage levels[3];
     Renderer renderer;
 
-    Scene(Mapping mapping, bool one_point) {
+    Scene(Mapping mapping, bool one_point, bool materials) {
         const Mesh meshes[3] = {globe(10.0, 48, 96), globe(9.97, 32, 64), globe(10.02, 20, 40)};
         std::vector<LevelView> views;
         for (int k = 0; k < 3; ++k) {
             EXPECT_EQ(levels[k].build(meshes[k].vertices, meshes[k].faces, 0.8), "");
+            if (materials) {
+                std::vector<Material> made(meshes[k].vertices.size() / 3);
+                for (std::size_t i = 0; i < made.size(); ++i) {
+                    const float part = static_cast<float>(i % 7) / 7.0f;
+                    made[i] = {0.3f + part, 0.1f + 0.4f * part, 0.3f * part};
+                    if (i % 5 == 0) made[i] = {kAsStation, kAsStation, kAsStation};
+                }
+                EXPECT_EQ(levels[k].set_materials(made), "");
+            }
             views.push_back(levels[k].view());
         }
         ConfigData c{};
@@ -200,12 +209,12 @@ TEST(Watch, CountsWhatItIsMeantToCount) {
 }
 #endif
 
-class TickHygiene : public testing::TestWithParam<std::tuple<Mapping, bool>> {};
+class TickHygiene : public testing::TestWithParam<std::tuple<Mapping, bool, bool>> {};
 
 constexpr std::size_t kTicks = 10'000;
 
 TEST_P(TickHygiene, NothingButArithmetic) {
-    Scene scene(std::get<0>(GetParam()), std::get<1>(GetParam()));
+    Scene scene(std::get<0>(GetParam()), std::get<1>(GetParam()), std::get<2>(GetParam()));
     const std::vector<Step> steps = journey(kTicks);
     std::vector<TickRecord> rows(kTicks);
 #if defined(__SSE2__)
@@ -254,7 +263,7 @@ TEST_P(TickHygiene, TwoRunsGiveTheSameBits) {
     const std::vector<Step> steps = journey(2000);
     std::vector<TickRecord> rows[2];
     for (std::vector<TickRecord>& run : rows) {
-        Scene scene(std::get<0>(GetParam()), std::get<1>(GetParam()));
+        Scene scene(std::get<0>(GetParam()), std::get<1>(GetParam()), std::get<2>(GetParam()));
         run.resize(steps.size());
         for (std::size_t t = 0; t < steps.size(); ++t) scene.renderer.tick(steps[t].pose, steps[t].time_s, run[t]);
     }
@@ -263,7 +272,7 @@ TEST_P(TickHygiene, TwoRunsGiveTheSameBits) {
 
 TEST(TickHygieneReset, ForgetsEverything) {
     const std::vector<Step> steps = journey(2000);
-    Scene scene(Mapping::two_sided, false);
+    Scene scene(Mapping::two_sided, false, true);
     std::vector<TickRecord> rows[2];
     for (std::vector<TickRecord>& run : rows) {
         run.resize(steps.size());
@@ -275,7 +284,8 @@ TEST(TickHygieneReset, ForgetsEverything) {
 }
 
 INSTANTIATE_TEST_SUITE_P(All, TickHygiene,
-                         testing::Combine(testing::Values(Mapping::paper, Mapping::two_sided), testing::Bool()));
+                         testing::Combine(testing::Values(Mapping::paper, Mapping::two_sided), testing::Bool(),
+                                          testing::Bool()));
 
 // Random blocks: every fourth triangle a point, a segment, a sliver or far away.
 TriBlock random_block(std::mt19937_64& random) {

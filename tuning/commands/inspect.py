@@ -26,12 +26,15 @@ def inspect_command(bundle: Path, /) -> None:
     config = held.config
 
     def line(name: str, text: str) -> None:
-        out.print(f"{name:<10}{text}", markup=False)
+        out.print(f"{name:<11}{text}", markup=False)
 
     line("bundle", f"{held.path}, {held.file_bytes / 1e6:.1f} MB, {len(held.sections)} sections, all digests match")
     scan = held.manifest.get("scan")
     if isinstance(scan, dict):
         line("scan", f"{scan.get('name')}, {scan.get('triangles')} triangles, from {scan.get('source')}")
+    made_of = scan.get("materials") if isinstance(scan, dict) else None
+    if isinstance(made_of, dict):
+        line("materials", ", ".join(f"{name} {least:g} to {most:g}" for name, (least, most) in made_of.items()))
     line("tool", f"{held.tool.name}, {held.tool.balls} ball{'s' if held.tool.balls > 1 else ''}")
     line(
         "loop",

@@ -33,6 +33,7 @@ def tune_command(
     unit: str = "mm",
     station: Path | None = None,
     tool: Path | None = None,
+    materials: Path | None = None,
     motions: Annotated[tuple[Path, ...], Parameter(consume_multiple=True, negative=(), show_default=False)] = (),
     levels: str = f"1-{MOST_LEVELS}",
     budget_us: float | None = None,
@@ -54,6 +55,9 @@ def tune_command(
         Station file (configs/stations/): rate, budget, limits. Default: a desktop at 1 kHz.
     tool
         Tool file (configs/tools/). Default: a point.
+    materials
+        Material map (configs/materials/): stiffness and friction of the scan's parts, by component or colour. Default:
+        the scan's own, which are properties of a PLY file's faces, if it has any.
     motions
         Recorded hand motions, CSV with t_s,x_mm,y_mm,z_mm. Default: strokes made on the scan's surface.
     levels
@@ -67,26 +71,31 @@ def tune_command(
     json
         Also write the result as JSON.
     """
+    from hapticlod.material_map import load_materials
     from hapticlod.motion import load_motion
     from hapticlod.station import load_station
     from hapticlod.tool import load_tool
 
     level_counts = parse_levels(levels)
-    inputs = [path for path in (scan, station, tool, *motions) if path is not None]
+    inputs = [path for path in (scan, station, tool, materials, *motions) if path is not None]
     _check_writable(output, inputs)
     if json is not None:
         _check_writable(json, [*inputs, output])
     target = _adjusted(load_station(station or shipped_config(DEFAULT_STATION)), loop_hz, budget_us)
+    made_of = None if materials is None else load_materials(materials)
     held = load_tool(tool or shipped_config(DEFAULT_TOOL))
     recorded = [motion for path in motions for motion in load_motion(path, target.loop_hz)]
 
     notes = Console(stderr=True, highlight=False)
     with StageProgress(notes) as progress:
         progress("load and clean the scan", 0.0)
+        from hapticlod.material import material_lines
         from hapticlod.scan import load_scan
 
         cleaned = load_scan(scan, unit)
-        for line in cleaned.report.lines():
+        if made_of is not None:
+            cleaned = made_of.applied(cleaned)
+        for line in [*cleaned.report.lines(), *material_lines(cleaned, target.stiffness_n_mm)]:
             notes.print(f"    {line}", markup=False)
         from tuning.deliver import document, write_tuned
         from tuning.tune import tune
