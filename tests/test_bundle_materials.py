@@ -79,7 +79,11 @@ def test_the_station_renders_them(parts: dict[str, Any], bundle_path: Path, tmp_
     result = run_station("replay", bundle_path, tmp_path / "motion.csv", tmp_path / "out.csv")
     assert result.returncode == 0, result.stderr
     rows = rendered(parts["levels"], parts["config"], parts["tool"], motion)
-    assert without_cost(read_record(tmp_path / "out.csv")) == without_cost(rows)
+    station = read_record(tmp_path / "out.csv")
+    # The two readers scale the file's quaternions to unit length each in its own way: the last bit may differ.
+    for field in ("scp_mm", "force_n", "torque_n_mm"):
+        np.testing.assert_allclose(station[field], rows[field], rtol=0, atol=1e-12)
+    assert (station["level"] == rows["level"]).all()
     plain = [_runtime.Level(*plate(n), cell) for n, cell in zip((6, 3), CELLS_MM, strict=True)]
     stiff = rendered(plain, parts["config"], parts["tool"], motion)
     assert np.abs(rows["force_n"] - stiff["force_n"]).max() > 0.05
