@@ -101,10 +101,12 @@ bool ContactSolver::separated(const Triangle& t, double kept) const {
 void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCounters& counters) {
     std::size_t count = 0;
     const double within = tolerances_.touching;
+    counters.tests += candidates_.block_count() / 16;
     for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
         if (candidates_.key(i) - path_ > within) continue;
         const SolverBall& ball = balls[candidates_.ball(i)];
         if (candidates_.stamp(i) != stamp_) {
+            ++counters.tests;
             if (candidates_.evaluated(i)) {
                 if (granted_here(i, ball) > within) continue;
             } else if (bounded_here(i) > within) {
@@ -166,10 +168,12 @@ double ContactSolver::sweep(const Vec3& step, std::span<const SolverBall> balls,
     const double length = norm(step), margin = tolerances_.skin;
     const Vec3 y = local_ + step;
     double first = 2.0;
+    counters.tests += candidates_.block_count() / 16;
     for (std::uint32_t i = 0; i < candidates_.block_count(); ++i) {
         if (candidates_.key(i) - path_ > length) continue;
         const SolverBall& ball = balls[candidates_.ball(i)];
         if (candidates_.stamp(i) != stamp_) {
+            ++counters.tests;
             if (candidates_.evaluated(i)) {
                 const double here = granted_here(i, ball);
                 if (here > length) continue;

@@ -87,7 +87,7 @@ struct TickRecord {
     std::uint32_t errors;         // TickError bits
     std::uint32_t cells;          // hash cells visited (contact and mapping)
     std::uint32_t triangles;      // triangles gathered from cells
-    std::uint32_t tests;          // triangle distance evaluations in the solver
+    std::uint32_t tests;          // triangle distances in the solver; a bound that spares eight of them counts as one
     std::uint32_t iterations;     // constraint iterations
     std::uint32_t balls;          // balls whose safe distance had to be renewed
     std::uint32_t mapping_cells;  // part of `cells` that mapping visited

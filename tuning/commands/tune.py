@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +12,7 @@ from rich.console import Console
 from hapticlod.errors import InputError
 from hapticlod.files import write_json
 from hapticlod.shipped import shipped_config
+from tuning.commands.outputs import check_writable
 from tuning.progress import StageProgress
 from tuning.tables import comparison_table
 
@@ -78,9 +78,9 @@ def tune_command(
 
     level_counts = parse_levels(levels)
     inputs = [path for path in (scan, station, tool, materials, *motions) if path is not None]
-    _check_writable(output, inputs)
+    check_writable(output, inputs)
     if json is not None:
-        _check_writable(json, [*inputs, output])
+        check_writable(json, [*inputs, output])
     target = _adjusted(load_station(station or shipped_config(DEFAULT_STATION)), loop_hz, budget_us)
     made_of = None if materials is None else load_materials(materials)
     held = load_tool(tool or shipped_config(DEFAULT_TOOL))
@@ -130,16 +130,6 @@ def parse_levels(text: str) -> tuple[int, int]:
     raise InputError(
         "--levels", f"{text!r} is no range of level counts", f"give one number or a range within 1-{MOST_LEVELS}"
     )
-
-
-def _check_writable(path: Path, taken: Sequence[Path]) -> None:
-    """Before minutes of work, not after. `taken` are files of this command that must stay."""
-    if path.resolve() in [other.resolve() for other in taken]:
-        raise InputError(str(path), "is also an input or the other output", "give another name")
-    if path.is_dir():
-        raise InputError(str(path), "is a folder", "give the name of a file")
-    if not path.resolve().parent.is_dir():
-        raise InputError(str(path), f"the folder {path.resolve().parent} does not exist", "create it first")
 
 
 def _adjusted(station: Station, loop_hz: float | None, budget_us: float | None) -> Station:
