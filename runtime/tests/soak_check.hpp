@@ -48,7 +48,7 @@ private:
         if (!std::isfinite(row.speed_mm_s)) return "the speed is not finite";
         const bool first = tally_.ticks == 0;
         const double dt = first ? 1e-3 : period(step.time_s, row.errors);
-        if (first) last_time_s_ = std::isfinite(step.time_s) ? step.time_s : 1e-3;
+        if (first) clock_s_ = std::isfinite(step.time_s) ? step.time_s : 0.0, last_stamp_s_ = step.time_s;
         const bool anew = first || (row.errors & kErrHipJump) != 0;
         count(row, anew);
         if (std::string fault = judge_force(row, dt, anew); !fault.empty()) return fault;
@@ -56,14 +56,21 @@ private:
         return judge_place(row, dt, anew);
     }
 
-    // How long the runtime must take the period for (docs: a time that does not advance counts as the nominal one).
+    // How long the runtime must take the period for: one wrong stamp is passed over, as long as the nominal period; a
+    // clock that was set back goes on from where it is.
     double period(double now_s, std::uint32_t errors) {
-        double dt = now_s - last_time_s_;
-        if (!(dt > 0.0) || !std::isfinite(dt)) {
-            dt = 1e-3;
-            said_period_ = (errors & kErrPeriod) != 0;
+        constexpr double kNominal = 1e-3;
+        double dt = now_s - clock_s_;
+        if (dt > 0.0 && std::isfinite(dt)) {
+            clock_s_ = now_s;
+        } else {
+            const double since = now_s - last_stamp_s_;
+            const bool set_back = since > 0.0 && since < 10.0 * kNominal;
+            dt = set_back ? since : kNominal;
+            clock_s_ = set_back ? now_s : clock_s_ + kNominal;
+            said_period_ = set_back || (errors & kErrPeriod) != 0;
         }
-        last_time_s_ = std::isfinite(now_s) ? now_s : last_time_s_ + 1e-3;
+        last_stamp_s_ = now_s;
         return dt;
     }
 
@@ -194,7 +201,7 @@ private:
     TickRecord last_{};
     bool facing_known_ = true;
     Place place_;
-    double last_time_s_ = 0.0, blend_left_s_ = 0.0;
+    double clock_s_ = 0.0, last_stamp_s_ = 0.0, blend_left_s_ = 0.0;
     double q_[4] = {1.0, 0.0, 0.0, 0.0};
     bool said_period_ = true;
 };
