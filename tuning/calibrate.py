@@ -29,15 +29,19 @@ _MOST_TICKS = 40_000
 _CACHE_MB = 32.0
 
 
-def calibrate(records: Sequence[NDArray], level_bytes: Sequence[int], seed: int = 0) -> CostCoefficients:
+def calibrate(
+    records: Sequence[NDArray], level_bytes: Sequence[int], seed: int = 0, repeated: int | None = None
+) -> CostCoefficients:
     """Coefficients of this machine.
 
     Args:
         records: rows of RECORD_DTYPE of fixed-level replays, timed; the wider the range of counters, the better.
         level_bytes: of the level of each record.
         seed: of the ticks that are drawn where there are more than some ten thousands.
+        repeated: how many records, from the first, hold the least time of several runs: the tail is read from these,
+            since in the others it is mostly the operating system's. None: all.
     """
-    counters, cost, size = _gather(records, level_bytes, seed)
+    counters, cost, size, source = _gather(records, level_bytes, seed)
     features = np.column_stack([np.ones(len(cost)), counters])
     scale = np.maximum(np.abs(features).max(axis=0), 1.0)
     weight = 1.0 / np.maximum(cost, _FLOOR_NS)
@@ -55,6 +59,8 @@ def calibrate(records: Sequence[NDArray], level_bytes: Sequence[int], seed: int 
         gain = _cache_gain(features[:, 1:] @ coefficients[1:], cost - coefficients[0], size, weight)
         factor = 1.0 + gain * size / (size + _CACHE_MB)
     fitted = np.column_stack([features[:, :1], features[:, 1:] * factor[:, None]]) @ coefficients
+    clean = source < (len(records) if repeated is None else repeated)
+    fitted, cost = fitted[clean], cost[clean]
     dear = fitted >= np.quantile(fitted, 0.9)  # the tail of cheap ticks threatens no budget
     ratio = cost[dear] / np.maximum(fitted[dear], 1.0)
     values = dict(zip(("base_ns", *(f"{name[:-1]}_ns" for name in COUNTERS)), map(float, coefficients), strict=True))
@@ -64,21 +70,22 @@ def calibrate(records: Sequence[NDArray], level_bytes: Sequence[int], seed: int 
         cache_gain=gain,
         tail_p99=max(1.0, float(np.quantile(ratio, 0.99))),
         tail_p999=max(1.0, float(np.quantile(ratio, 0.999))),
-        measured_on=f"{_processor()}, {len(cost)} ticks",
+        measured_on=f"{_processor()}, {len(source)} ticks",
     )
 
 
-def _gather(records: Sequence[NDArray], level_bytes: Sequence[int], seed: int) -> tuple[Array, Array, Array]:
-    """Counters (n, 6), cost ns (n,), level size MB (n,) of ticks drawn evenly from all records."""
+def _gather(records: Sequence[NDArray], level_bytes: Sequence[int], seed: int) -> tuple[Array, Array, Array, Array]:
+    """Counters (n, 6), cost ns, level size MB and number of the record (n,) of ticks drawn evenly from all records."""
     rng = np.random.default_rng(seed)
     share = max(1, _MOST_TICKS // max(len(records), 1))
-    counters, cost, size = [], [], []
-    for rows, count in zip(records, level_bytes, strict=True):
+    counters, cost, size, source = [], [], [], []
+    for number, (rows, count) in enumerate(zip(records, level_bytes, strict=True)):
         drawn = rows[_drawn(rows["cost_ns"], share, rng)]
         counters.append(np.column_stack([drawn[name].astype(np.float64) for name in COUNTERS]))
         cost.append(drawn["cost_ns"].astype(np.float64))
         size.append(np.full(len(drawn), count / 1e6))
-    return np.concatenate(counters), np.concatenate(cost), np.concatenate(size)
+        source.append(np.full(len(drawn), number))
+    return np.concatenate(counters), np.concatenate(cost), np.concatenate(size), np.concatenate(source)
 
 
 def _drawn(cost: Array, share: int, rng: np.random.Generator) -> NDArray[np.intp]:

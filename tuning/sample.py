@@ -44,6 +44,10 @@ class Costing:
     here: CostCoefficients
     station: Station
 
+    def counted_ns(self, rows: NDArray, level_bytes: int | Array) -> Array:
+        """(T,) cost on the station by counters alone: the same whenever it is asked for."""
+        return counted_cost_ns(rows, level_bytes, self.station.cost or self.here) * self.station.slowdown
+
     def cost_ns(self, rows: NDArray, level_bytes: int | Array) -> Array:
         """(T,) cost on the station, interrupts taken out."""
         counted = counted_cost_ns(rows, level_bytes, self.here)
@@ -89,12 +93,6 @@ def sample_ladder(
             kept[place] = _counters_only(rows)
             progress("replay the ladder", count / len(places))
 
-    here = calibrate(list(kept.values()), [int(level_bytes[r]) for r, _ in kept])
-    costing = Costing(here, station)
-    cost = np.zeros((*grid.shape, clock.ticks))
-    for (r, b), rows in kept.items():
-        cost[r, b] = costing.cost_ns(rows, int(level_bytes[r]))
-
     progress("switch between levels", 0.0)
     tour = tour_ladder(
         bench, levels, cut, first, clock, l_mm, threads(), lambda done: progress("switch between levels", 0.5 * done)
@@ -102,17 +100,28 @@ def sample_ladder(
     entered, touched = relay_ladder(
         bench, levels, cut, clock, l_mm, threads(), lambda done: progress("switch between levels", 0.5 + 0.5 * done)
     )
+    chosen = tuple(cell_rungs(grid))
+    swept, cell_bytes = _sweep_cells(bench, levels, chosen, cut, progress)
+
+    # Prices of cells and triangles show where cell sizes differ, those of mappings where levels are entered.
+    timed = [(rows, int(level_bytes[r])) for (r, _), rows in kept.items()]
+    once = [(rows, int(cell_bytes[s, h])) for (s, _, h), rows in swept.items()]
+    once += [(_counters_only(rows), int(level_bytes[r])) for (r, _), rows in entered.items() if len(rows)]
+    both = timed + once
+    here = calibrate([rows for rows, _ in both], [size for _, size in both], repeated=len(timed))
+    costing = Costing(here, station)
+    cost = np.zeros((*grid.shape, clock.ticks))
+    for (r, b), rows in kept.items():
+        cost[r, b] = costing.cost_ns(rows, int(level_bytes[r]))
     switch = np.zeros((2, *grid.shape, len(SWITCH_SHARES)))
     for place, rows in entered.items():
         priced = costing.cost_ns(rows, int(level_bytes[place[0]])) if len(rows) else np.zeros(0)
         switch[:, *place] = entry_costs(priced, touched[place], cost[place])
 
-    chosen = tuple(cell_rungs(grid))
-    swept = _sweep_cells(bench, levels, chosen, cut, costing, progress)
     data = LadderData(
         grid=grid, clock=clock, fields=fields, cost_ns=cost, reference=reference, tour=tour,
         switch_ns=switch[0], free_switch_ns=switch[1], cell_rungs=chosen,
-        cell_cost=swept[0], level_bytes=level_bytes, cell_bytes=swept[1],
+        cell_cost=_cell_cost(bench, swept, cell_bytes, costing), level_bytes=level_bytes, cell_bytes=cell_bytes,
     )  # fmt: skip
     return data, costing
 
@@ -126,43 +135,52 @@ def _counters_only(rows: NDArray) -> NDArray:
 
 
 def _sweep_cells(
-    bench: Bench,
-    levels: Sequence,
-    chosen: Sequence[int],
-    motions: Sequence[Motion],
-    costing: Costing,
-    progress: Progress,
-) -> tuple[Array, Array]:
-    """Cost (S, B, H, 2) and bytes (S, H) of other cell sizes, on a part from the middle of every motion.
+    bench: Bench, levels: Sequence, chosen: Sequence[int], motions: Sequence[Motion], progress: Progress
+) -> tuple[dict[tuple[int, int, int], NDArray], Array]:
+    """Rows by (place in `chosen`, subset, cell size), and bytes (S, H), on a part from the middle of every motion.
 
     Only with all balls and with the fewest: in between, what a cell size changes is interpolated.
     """
     grid = bench.grid
     parts = [_middle(motion, _SETTLING_TICKS + _CELL_TICKS) for motion in motions]
-    subsets = sorted({0, len(grid.balls) - 1})
-    cost = np.zeros((len(chosen), len(subsets), len(grid.cell_edges), 2))
     size = np.zeros((len(chosen), len(grid.cell_edges)))
+    swept: dict[tuple[int, int, int], NDArray] = {}
 
     def one(task: tuple[int, int]) -> None:
         s, h = task
         rung = chosen[s]
         level = levels[rung] if h == grid.base_cell else bench.level(rung, h)
         size[s, h] = level.bytes
-        for i, b in enumerate(subsets):
+        for b in _swept_subsets(bench):
             replays = replay_fixed(bench, level, rung, grid.balls[b], parts, 1, h)
-            rows = np.concatenate([row[_SETTLING_TICKS:] for row in replays])
-            cost[s, i, h] = dearest_mean(costing.cost_ns(rows, level.bytes))
+            swept[s, b, h] = _counters_only(np.concatenate([row[_SETTLING_TICKS:] for row in replays]))
 
     tasks = [(s, h) for s in range(len(chosen)) for h in range(len(grid.cell_edges))]
     progress("try cell sizes", 0.0)
     with ThreadPoolExecutor(threads()) as pool:
         for count, _ in enumerate(pool.map(one, tasks), 1):
             progress("try cell sizes", count / len(tasks))
-    thin = np.log(np.array(grid.balls, dtype=np.float64))
+    return {place: swept[place] for place in sorted(swept)}, size
+
+
+def _swept_subsets(bench: Bench) -> list[int]:
+    return sorted({0, len(bench.grid.balls) - 1})
+
+
+def _cell_cost(bench: Bench, swept: dict[tuple[int, int, int], NDArray], cell_bytes: Array, costing: Costing) -> Array:
+    """(S, B, H, 2) mean cost and that of the dearest ticks, by what they counted.
+
+    Cell sizes differ by tenths; a short part timed once shows what else the machine did meanwhile.
+    """
+    balls = bench.grid.balls
+    subsets = _swept_subsets(bench)
+    cost = np.zeros((cell_bytes.shape[0], len(subsets), cell_bytes.shape[1], 2))
+    for (s, b, h), rows in swept.items():
+        cost[s, subsets.index(b), h] = dearest_mean(costing.counted_ns(rows, int(cell_bytes[s, h])))
+    thin = np.log(np.array(balls, dtype=np.float64))
     share = (thin[0] - thin) / max(thin[0] - thin[-1], 1e-9)
     log = np.log(np.maximum(cost, 1.0))
-    between = log[:, :1] + share[None, :, None, None] * (log[:, -1:] - log[:, :1])
-    return np.exp(between), size
+    return np.exp(log[:, :1] + share[None, :, None, None] * (log[:, -1:] - log[:, :1]))
 
 
 def _middle(motion: Motion, ticks: int) -> Motion:

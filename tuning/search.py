@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hapticlod.surrogate.measurement import LadderMeasurement
 from hapticlod.surrogate.surrogate import predict
+from tuning.compile_cache import compiled
 from tuning.optimise import SequentialQuadratic
 from tuning.sample import threads
 from tuning.space import Space, decode
@@ -25,12 +26,13 @@ from tuning.space import Space, decode
 DISCONTINUITY_WEIGHT = 1.0
 # Ties go to less work: a hundredth of a JND for a budget's worth of mean cost.
 COST_WEIGHT = 0.01
-STARTS = 4
+SCREENED, STARTS = 24, 2  # points looked at per level count, and those of them that are searched from
 MARGIN = 0.98  # of the budget that the surrogate may use
 # Switching is sharpened in stages: a soft trigger sees further, a sharp one counts right (PERCEPTION.md section 2).
 SOFT, SHARP = 6.0, 20.0
 SOFT_STEPS, MOST_STEPS = 8, 20
 _FEASIBLE = 1e-3
+_PROMISE = 2.0  # what a start's excess, in ln of its limit, weighs against its objective
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,12 @@ class Found:
         """Smaller is better: one that keeps the limits beats any that does not."""
         broken = self.excess > _FEASIBLE
         return broken, self.excess if broken else self.objective
+
+    @property
+    def promise(self) -> float:
+        """Smaller is a better start; not finite comes last."""
+        value = self.objective + _PROMISE * max(self.excess, 0.0)
+        return value if np.isfinite(value) else np.inf
 
 
 class Problem(eqx.Module):
@@ -98,7 +106,7 @@ def value_and_excess(x: Float[Array, " n"], args: Any) -> tuple[Array, Array]:
     return objective(found, problem.station_us), jnp.log(jnp.stack(over))
 
 
-@eqx.filter_jit
+@compiled
 def _solve(x0: Array, measured: LadderMeasurement, problem: Problem, sharpness: Array) -> Array:
     options = {"lower": jnp.zeros_like(x0), "upper": jnp.ones_like(x0), "linear": (problem.rows, problem.row_limits)}
     options["most_steps"] = jnp.where(sharpness < SHARP, SOFT_STEPS, MOST_STEPS)
@@ -108,7 +116,7 @@ def _solve(x0: Array, measured: LadderMeasurement, problem: Problem, sharpness: 
     return found.value
 
 
-_look = eqx.filter_jit(_metrics)
+_look = compiled(_metrics)
 
 
 class Search:
@@ -156,10 +164,10 @@ class Search:
                 x = np.asarray(_solve(x0, self._measured, self._problem(levels, held), jnp.asarray(sharpness)))
             return self.look(self._space.ordered(x, levels), levels, limits)
 
-        soft = [(k, x, SOFT) for k in counts if k not in near for x in self._space.sample(STARTS, k, seed)]
         heads = dict(near)
         with ThreadPoolExecutor(threads()) as pool:
             self._compile(pool, counts[0], held)
+            soft = [(k, x, SOFT) for k in counts if k not in near for x in self._starts(pool, k, held, seed)]
             found = list(zip((k for k, _, _ in soft), pool.map(solved, soft), strict=True))
             for levels in counts:
                 if levels not in heads:
@@ -181,6 +189,12 @@ class Search:
         self.look(x, levels, limits)
         wait.result()
         self._compiled = True
+
+    def _starts(self, pool: ThreadPoolExecutor, levels: int, limits: Limits, seed: int) -> list[NDArray[np.float64]]:
+        """The most promising of many points: a look costs less than a step, and most points are far from the best."""
+        points = list(self._space.sample(SCREENED, levels, seed))
+        looks = list(pool.map(lambda x: self.look(x, levels, limits), points))
+        return [points[i] for i in sorted(range(SCREENED), key=lambda i: looks[i].promise)[:STARTS]]
 
     def look(self, x: NDArray[np.float64], levels: int, limits: Limits) -> Found:
         """What the surrogate says of x."""

@@ -23,6 +23,7 @@ from tuning.search import Found, Limits, Search, objective
 from tuning.verify import Verifier
 
 ROUNDS = 3
+MEASURED = 5  # level counts whose best is measured, the most promising first: all there are
 LEADERS = 2  # level counts that are looked at again when prediction and measurement differ
 AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
 
@@ -142,12 +143,13 @@ def _explore(
     search: Search, verifier: Verifier, ready: Prepared, station: Station, counts: Sequence[int], seed: int,
     stages: Stages,
 ) -> list[Candidate]:  # fmt: skip
-    """The best of every level count, measured; then the leaders again, with the surrogate's budget corrected."""
+    """The most promising level counts, each at its best, measured; then the leaders again, with the surrogate's budget
+    corrected."""
     made: list[Candidate] = []
     warm: dict[int, np.ndarray] = {}
 
     def verified(count: int, found: Found) -> Candidate:
-        stages("verify in the runtime", len(made) / (len(counts) + LEADERS))
+        stages("verify in the runtime", len(made) / (MEASURED + LEADERS))
         warm[count] = found.x
         config = ready.space.config(found.x, count, f"{count} levels")
         metrics = verifier.measured(config)
@@ -157,13 +159,14 @@ def _explore(
 
     stages("optimise", 0.0)
     every = search.best_of_each(counts, _limits(station, 1.0), seed)
-    latest = {count: verified(count, found) for count, found in every.items()}
+    promising = sorted(counts, key=lambda count: every[count].rank)[:MEASURED]
+    latest = {count: verified(count, every[count]) for count in sorted(promising)}
     for turn in range(1, ROUNDS):
-        corrections = {count: _correction(latest[count], station) for count in counts}
-        wrong = [count for count in counts if corrections[count] is not None]
+        corrections = {count: _correction(latest[count], station) for count in latest}
+        wrong = [count for count in latest if corrections[count] is not None]
         # Those that could still win: the best by what was measured, whether or not they held the budget.
         for count in sorted(wrong, key=lambda k: latest[k].objective)[:LEADERS]:
-            stages("optimise", len(made) / (len(counts) + LEADERS))
+            stages("optimise", len(made) / (MEASURED + LEADERS))
             limits = _limits(station, float(corrections[count] or 1.0))
             latest[count] = verified(count, search.best(count, limits, seed + turn, warm[count]))
     return made
