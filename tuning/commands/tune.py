@@ -31,6 +31,7 @@ def tune_command(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     unit: str = "mm",
+    strict: bool = False,
     station: Path | None = None,
     tool: Path | None = None,
     materials: Path | None = None,
@@ -51,6 +52,8 @@ def tune_command(
         The bundle to write (.hlod).
     unit
         Unit of the scan's coordinates.
+    strict
+        Refuse a scan that needs repair instead of mending it; `hapticlod check` shows what it needs.
     station
         Station file (configs/stations/): rate, budget, limits. Default: a desktop at 1 kHz.
     tool
@@ -92,7 +95,7 @@ def tune_command(
         from hapticlod.material import material_lines
         from hapticlod.scan import load_scan
 
-        cleaned = load_scan(scan, unit)
+        cleaned = load_scan(scan, unit, strict=strict)
         if made_of is not None:
             cleaned = made_of.applied(cleaned)
         for line in [*cleaned.report.lines(), *material_lines(cleaned, target.stiffness_n_mm)]:
