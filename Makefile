@@ -14,7 +14,7 @@ CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
 
-.PHONY: help setup build test test-cpp test-sanitized test-python lint format demo bench bench-quick soak \
+.PHONY: help setup configure build product test test-cpp test-sanitized test-python lint format demo bench bench-quick soak \
     evaluate-surrogate clean
 
 help:  ## this list
@@ -23,12 +23,17 @@ help:  ## this list
 setup:  ## system packages (as root or with sudo), .venv, Python packages
 	@scripts/bootstrap
 
-build: setup  ## the station, the Python module, tests and benchmarks
+configure: setup
 	@mkdir -p build
 	@cmake -S . -B $(RELEASE) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=Release -DHAPTICLOD_INPLACE=ON \
 	    -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python >$(RELEASE).log 2>&1 || { cat $(RELEASE).log; exit 1; }
-	@cmake --build $(RELEASE)
 	@ln -sf ../../$(RELEASE)/hapticlod-station $(BIN)/hapticlod-station
+
+build: configure  ## the station, the Python module, tests and benchmarks
+	@cmake --build $(RELEASE)
+
+product: configure  ## the station and the Python module alone
+	@cmake --build $(RELEASE) --target hapticlod-station _runtime _runtime_stub
 
 test: lint test-cpp test-sanitized test-python  ## everything CI runs
 
@@ -56,7 +61,7 @@ format:  ## reformat Python and C++
 	@$(BIN)/ruff check --fix --quiet $(PY_DIRS); $(BIN)/ruff format $(PY_DIRS)
 	@$(if $(CPP_FILES),$(BIN)/clang-format -i $(CPP_FILES))
 
-demo: build  ## from nothing to a running station: make a scan, tune it, run it
+demo: product  ## from nothing to a running station: make a scan, tune it, run it
 	@$(BIN)/python scripts/demo.py
 
 bench: build  ## what a tick costs on 2.6 M triangles, against goals: some minutes
