@@ -23,6 +23,7 @@ from tuning.search import Found, Limits, Search, objective
 from tuning.verify import Verifier
 
 ROUNDS = 3
+RESCUES = 4  # further rounds while nothing that was measured holds the budget
 MEASURED = 5  # level counts whose best is measured, the most promising first: all there are
 LEADERS = 2  # level counts that are looked at again when prediction and measurement differ
 AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
@@ -107,17 +108,11 @@ def tune(
         feasible[config.name] = _holds(baselines[config.name], station)
         stages("measure the baselines", (i + 1) / len(fixed))
     stages.close()
-    # The finest level alone is a candidate like any other.
-    alone = fixed[0]
-    candidates.append(
-        Candidate(
-            alone,
-            {},
-            baselines[alone.name],
-            float(objective(baselines[alone.name], station.budget_us)),
-            feasible[alone.name],
-        )
-    )
+    # The finest and the coarsest level alone are candidates like any other.
+    for alone in fixed[:2]:
+        found = baselines[alone.name]
+        value = float(objective(found, station.budget_us))
+        candidates.append(Candidate(alone, {}, found, value, feasible[alone.name]))
     ranked = sorted(candidates, key=lambda c: (not c.feasible, c.objective))
     chosen = ranked[0]
     if not chosen.feasible:
@@ -161,20 +156,32 @@ def _explore(
     every = search.best_of_each(counts, _limits(station, 1.0), seed)
     promising = sorted(counts, key=lambda count: every[count].rank)[:MEASURED]
     latest = {count: verified(count, every[count]) for count in sorted(promising)}
-    for turn in range(1, ROUNDS):
+    used = dict.fromkeys(latest, 1.0)
+    for turn in range(1, ROUNDS + RESCUES):
+        rescuing = not any(candidate.feasible for candidate in made)
+        if turn >= ROUNDS and not rescuing:
+            break
         corrections = {count: _correction(latest[count], station) for count in latest}
         wrong = [count for count in latest if corrections[count] is not None]
-        # Those that could still win: the best by what was measured, whether or not they held the budget.
-        for count in sorted(wrong, key=lambda k: latest[k].objective)[:LEADERS]:
+        # Those that could still win: the best by what was measured, whether or not they held the budget. While none
+        # did, those that came nearest to holding it.
+        for count in sorted(wrong, key=lambda k: _cost_us(latest[k]) if rescuing else latest[k].objective)[:LEADERS]:
             stages("optimise", len(made) / (MEASURED + LEADERS))
-            limits = _limits(station, float(corrections[count] or 1.0))
-            latest[count] = verified(count, search.best(count, limits, seed + turn, warm[count]))
+            correction = float(corrections[count] or 1.0)
+            if not latest[count].feasible:
+                correction = min(correction, 0.7 * used[count])  # what was asked for last time was too much
+            used[count] = correction
+            latest[count] = verified(count, search.best(count, _limits(station, correction), seed + turn, warm[count]))
     return made
+
+
+def _cost_us(candidate: Candidate) -> float:
+    return candidate.measured["loop_cost_p999_us"]
 
 
 def _correction(candidate: Candidate, station: Station) -> float | None:
     """What the surrogate's budget must be multiplied by so that the measured cost meets it; None: they agree."""
-    predicted, measured = candidate.predicted["loop_cost_p999_us"], candidate.measured["loop_cost_p999_us"]
+    predicted, measured = candidate.predicted["loop_cost_p999_us"], _cost_us(candidate)
     apart = measured / station.budget_us
     if candidate.feasible and apart > 1.0 - 2 * AGREE:
         return None  # as near to the budget as makes sense
@@ -193,8 +200,8 @@ def _holds(metrics: dict[str, float], station: Station) -> bool:
 
 def _nothing_fits(candidates: list[Candidate], station: Station) -> InputError:
     small = [c for c in candidates if c.measured["memory_mb"] <= station.memory_mb] or candidates
-    nearest = min(small, key=lambda c: c.measured["loop_cost_p999_us"])
-    needed = nearest.measured["loop_cost_p999_us"]
+    nearest = min(small, key=_cost_us)
+    needed = _cost_us(nearest)
     return InputError(
         f"station {station.name}",
         f"no configuration holds a budget of {station.budget_us:g} us within {station.memory_mb:g} MB",

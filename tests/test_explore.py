@@ -1,0 +1,84 @@
+"""How the tuner goes on when measurements contradict the surrogate: until the budget is held, or nothing helps."""
+
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapticlod.config import Level, LodConfig
+from hapticlod.shipped import shipped_config
+from hapticlod.station import Station, load_station
+from tuning.search import Found
+from tuning.tune import _explore
+
+BUDGET_US = 600.0
+
+
+class Optimist:
+    """A surrogate that always fills the budget it is given."""
+
+    def __init__(self) -> None:
+        self.asked: list[float] = []
+
+    def best(self, count: int, limits: Any, seed: int, warm: Any = None) -> Found:
+        self.asked.append(limits.budget_us)
+        predicted = {"loop_cost_p999_us": limits.budget_us}
+        return Found(np.array([limits.budget_us]), 1.0, 0.0, predicted)
+
+    def best_of_each(self, counts: list[int], limits: Any, seed: int) -> dict[int, Found]:
+        return {count: self.best(count, limits, seed) for count in counts}
+
+
+def explore(true_over_predicted: Any) -> tuple[list[Any], list[float]]:
+    """The candidates of one level count, measured at predicted times a factor of the prediction."""
+
+    def measured(config: LodConfig) -> dict[str, float]:
+        predicted_us = float(config.name)
+        cost_us = predicted_us * true_over_predicted(predicted_us)
+        return {
+            "loop_cost_p999_us": cost_us, "loop_cost_mean_us": 0.2 * cost_us, "memory_mb": 10.0,
+            "felt_error_jnd": 600.0 / cost_us, "discontinuity_per_s": 0.0,
+        }  # fmt: skip
+
+    def config(x: np.ndarray, count: int, name: str) -> LodConfig:
+        return LodConfig(name=str(x[0]), levels=(Level(triangles=1000, cell_mm=1.0, balls=1),))
+
+    search: Any = Optimist()
+    verifier: Any = SimpleNamespace(measured=measured)
+    ready: Any = SimpleNamespace(space=SimpleNamespace(config=config))
+    made = _explore(search, verifier, ready, station(), [1], 0, lambda *stage: None)  # pyright: ignore[reportArgumentType]
+    return made, search.asked
+
+
+def station() -> Station:
+    return load_station(shipped_config("stations/desktop_1khz.toml")).adjusted(budget_us=BUDGET_US)
+
+
+def test_one_correction_is_enough_where_the_error_is_a_factor() -> None:
+    made, asked = explore(lambda predicted_us: 3.0)
+    assert [candidate.feasible for candidate in made] == [False, True]
+    assert asked[1] <= BUDGET_US / 3
+
+
+def test_goes_on_until_the_budget_is_held() -> None:
+    """A tail that shrinks much more slowly than the surrogate believes: 930 us where it said 250 us, and so on."""
+    made, asked = explore(lambda predicted_us: 900.0 * (predicted_us / BUDGET_US) ** 0.25 / predicted_us)
+    assert len(made) > 3
+    assert made[-1].feasible
+    assert not any(candidate.feasible for candidate in made[:-1])
+    assert all(later <= 0.7 * earlier + 1e-9 for earlier, later in pairwise(asked))
+
+
+def test_gives_up_where_nothing_helps() -> None:
+    made, _ = explore(lambda predicted_us: 5000.0 / predicted_us)
+    assert not any(candidate.feasible for candidate in made)
+    assert len(made) == 7
+
+
+@pytest.mark.parametrize("share", [0.92, 1.0])
+def test_stops_where_they_agree(share: float) -> None:
+    made, _ = explore(lambda predicted_us: share)
+    assert len(made) == 1
+    assert made[0].feasible
