@@ -99,13 +99,16 @@ def value_and_excess(x: Float[Array, " n"], args: Any) -> tuple[Array, Array]:
 
 
 @eqx.filter_jit
-def _solve(x0: Array, measured: LadderMeasurement, problem: Problem, sharpness: Array) -> Array:
+def _solve(
+    x0: Array, measured: LadderMeasurement, problem: Problem, sharpness: Array, most_steps: Array
+) -> tuple[Array, tuple[Array, Array, Array]]:
+    """The best point met, and gradient, excess and Jacobian at the last: after one step that is x0."""
     options = {"lower": jnp.zeros_like(x0), "upper": jnp.ones_like(x0), "linear": (problem.rows, problem.row_limits)}
-    options["most_steps"] = jnp.where(sharpness < SHARP, SOFT_STEPS, MOST_STEPS)
+    options["most_steps"] = most_steps
     solver = SequentialQuadratic()
     args = (measured, problem, sharpness)
     found = optx.minimise(value_and_excess, solver, x0, args, options, has_aux=True, max_steps=MOST_STEPS, throw=False)
-    return found.value
+    return found.value, (found.state.gradient, found.state.excess, found.state.jacobian)
 
 
 _look = eqx.filter_jit(_metrics)
@@ -153,7 +156,9 @@ class Search:
             levels, start, sharpness = task
             with jax.enable_x64(True):  # of this thread
                 x0 = jnp.asarray(self._space.ordered(start, levels))
-                x = np.asarray(_solve(x0, self._measured, self._problem(levels, held), jnp.asarray(sharpness)))
+                steps = jnp.asarray(SOFT_STEPS if sharpness < SHARP else MOST_STEPS)
+                best, _ = _solve(x0, self._measured, self._problem(levels, held), jnp.asarray(sharpness), steps)
+                x = np.asarray(best)
             return self.look(self._space.ordered(x, levels), levels, limits)
 
         soft = [(k, x, SOFT) for k in counts if k not in near for x in self._space.sample(STARTS, k, seed)]
@@ -175,12 +180,24 @@ class Search:
 
         def build() -> None:
             with jax.enable_x64(True):
-                _solve(jnp.asarray(x), self._measured, self._problem(levels, limits), jnp.asarray(SOFT))
+                one = jnp.asarray(1)
+                _solve(jnp.asarray(x), self._measured, self._problem(levels, limits), jnp.asarray(SOFT), one)
 
         wait = pool.submit(build)
         self.look(x, levels, limits)
         wait.result()
         self._compiled = True
+
+    def slopes(
+        self, x: NDArray[np.float64], levels: int, limits: Limits
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Gradient (n,) of the objective; excess (2,) over budget and memory as the search allows them, ln, and its
+        Jacobian (2, n). By the code that was compiled for searching."""
+        held = Limits(MARGIN * limits.budget_us, limits.memory_mb)
+        with jax.enable_x64(True):
+            asked = jnp.asarray(x), self._measured, self._problem(levels, held), jnp.asarray(SHARP), jnp.asarray(1)
+            gradient, excess, jacobian = map(np.asarray, _solve(*asked)[1])
+        return gradient, excess, jacobian
 
     def look(self, x: NDArray[np.float64], levels: int, limits: Limits) -> Found:
         """What the surrogate says of x."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from tuning.explain import explain
 from tuning.prepare import Prepared, Progress, Stages, prepare
 from tuning.sample import Costing
 from tuning.search import Found, Limits, Search, objective
+from tuning.sensitivity import Optimum, sensitivities, sentence
 from tuning.verify import Verifier
 
 ROUNDS = 3
@@ -29,13 +31,14 @@ AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surro
 
 @dataclass(frozen=True)
 class Candidate:
-    """A configuration with what was predicted of it and what was measured."""
+    """A configuration with what was predicted of it and what was measured; `optimum`: of the search it came from."""
 
     config: LodConfig
     predicted: dict[str, float]
     measured: dict[str, float]
     objective: float
     feasible: bool
+    optimum: Optimum | None = None
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,7 @@ class TuneResult:
         feasible: by name ("tuned" and the baselines), whether budget and memory hold.
         candidates: everything that was measured, best first.
         stages_s: seconds per stage.
+        sensitivities: what more budget or memory would change, by the surrogate: `tuning.sensitivity`.
         explanation: one paragraph.
         ladder, motions: what the bundle is made of; `motions` are those kept apart.
     """
@@ -60,6 +64,7 @@ class TuneResult:
     feasible: dict[str, bool]
     candidates: tuple[Candidate, ...]
     stages_s: dict[str, float]
+    sensitivities: dict[str, Any]
     explanation: str
     ladder: Ladder
     motions: tuple[Motion, ...]
@@ -105,7 +110,6 @@ def tune(
         baselines[config.name] = verifier.measured(config)
         feasible[config.name] = _holds(baselines[config.name], station)
         stages("measure the baselines", (i + 1) / len(fixed))
-    stages.close()
     # The finest level alone is a candidate like any other.
     alone = fixed[0]
     candidates.append(
@@ -123,6 +127,10 @@ def tune(
         raise _nothing_fits(candidates, station)
     predicted = chosen.predicted or search.look(ready.space.point(chosen.config), 1, _limits(station, 1.0)).predicted
     feasible["tuned"] = True
+    stages("differentiate the optimum", 0.0)
+    answers = sensitivities(search, ready.space, chosen.optimum, station)
+    stages.close()
+    reasons = explain(ranked, baselines, station, scan.triangles, tool), sentence(answers, station)
     return TuneResult(
         config=chosen.config.changed(name="tuned"),
         predicted=predicted,
@@ -131,7 +139,8 @@ def tune(
         feasible=feasible,
         candidates=tuple(ranked),
         stages_s=stages.seconds,
-        explanation=explain(ranked, baselines, station, scan.triangles, tool),
+        sensitivities=answers,
+        explanation=" ".join(filter(None, reasons)),
         ladder=ready.ladder,
         motions=ready.apart,
         costing=ready.costing,
@@ -146,18 +155,19 @@ def _explore(
     made: list[Candidate] = []
     warm: dict[int, np.ndarray] = {}
 
-    def verified(count: int, found: Found) -> Candidate:
+    def verified(count: int, found: Found, limits: Limits) -> Candidate:
         stages("verify in the runtime", len(made) / (len(counts) + LEADERS))
         warm[count] = found.x
         config = ready.space.config(found.x, count, f"{count} levels")
         metrics = verifier.measured(config)
         value = float(objective(metrics, station.budget_us))
-        made.append(Candidate(config, found.predicted, metrics, value, _holds(metrics, station)))
+        optimum = Optimum(found.x, count, limits)
+        made.append(Candidate(config, found.predicted, metrics, value, _holds(metrics, station), optimum))
         return made[-1]
 
     stages("optimise", 0.0)
     every = search.best_of_each(counts, _limits(station, 1.0), seed)
-    latest = {count: verified(count, found) for count, found in every.items()}
+    latest = {count: verified(count, found, _limits(station, 1.0)) for count, found in every.items()}
     for turn in range(1, ROUNDS):
         corrections = {count: _correction(latest[count], station) for count in counts}
         wrong = [count for count in counts if corrections[count] is not None]
@@ -165,7 +175,7 @@ def _explore(
         for count in sorted(wrong, key=lambda k: latest[k].objective)[:LEADERS]:
             stages("optimise", len(made) / (len(counts) + LEADERS))
             limits = _limits(station, float(corrections[count] or 1.0))
-            latest[count] = verified(count, search.best(count, limits, seed + turn, warm[count]))
+            latest[count] = verified(count, search.best(count, limits, seed + turn, warm[count]), limits)
     return made
 
 
