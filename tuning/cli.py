@@ -32,6 +32,7 @@ app = App(
     suppress_keyboard_interrupt=False,  # ours to answer: the user is told that nothing was written
 )
 app.command("tuning.commands.tune:tune_command", name="tune", help="Tune a scan for a station and a tool.")
+app.command("tuning.commands.pareto:pareto_command", name="pareto", help="Show what each budget buys, on one scan.")
 app.command("tuning.commands.inspect:inspect_command", name="inspect", help="Show what a bundle holds.")
 
 

@@ -79,6 +79,18 @@ def sensitivities(search: Search, space: Space, optimum: Optimum | None, station
     return told
 
 
+def marginal_value(search: Search, space: Space, optimum: Optimum, budget_us: float) -> float | None:
+    """d(objective)/d(budget), per us, by the multiplier alone: one gradient. None where there is no minimum."""
+    x, levels, limits = optimum.x, optimum.levels, optimum.limits
+    found = differentiate_optimum(
+        lambda point: search.slopes(point, levels, limits), x, np.zeros((2, 0)), linear=space.order_rows(levels),
+        moving=moving(space, levels),
+    )  # fmt: skip
+    if found.violation > MOST_VIOLATION or found.residual > MOST_RESIDUAL:
+        return None
+    return -float(found.multipliers[0]) / budget_us
+
+
 def _metric_slopes(search: Search, optimum: Optimum, found: Response, limit: int) -> dict[str, float]:
     """By ln of a limit: the objective's by its multiplier, the metrics' by looking along dx."""
     direction = found.x[:, limit]

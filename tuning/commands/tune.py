@@ -78,9 +78,9 @@ def tune_command(
 
     level_counts = parse_levels(levels)
     inputs = [path for path in (scan, station, tool, materials, *motions) if path is not None]
-    _check_writable(output, inputs)
+    check_writable(output, inputs)
     if json is not None:
-        _check_writable(json, [*inputs, output])
+        check_writable(json, [*inputs, output])
     target = _adjusted(load_station(station or shipped_config(DEFAULT_STATION)), loop_hz, budget_us)
     made_of = None if materials is None else load_materials(materials)
     held = load_tool(tool or shipped_config(DEFAULT_TOOL))
@@ -132,7 +132,7 @@ def parse_levels(text: str) -> tuple[int, int]:
     )
 
 
-def _check_writable(path: Path, taken: Sequence[Path]) -> None:
+def check_writable(path: Path, taken: Sequence[Path]) -> None:
     """Before minutes of work, not after. `taken` are files of this command that must stay."""
     if path.resolve() in [other.resolve() for other in taken]:
         raise InputError(str(path), "is also an input or the other output", "give another name")
