@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,9 +18,10 @@ from hapticlod.tool import Tool
 from tuning.baselines import baselines as baseline_configs
 from tuning.compile_cache import keep_compiled
 from tuning.explain import explain
+from tuning.population import POOLED, check_over, measured_each, measured_over
 from tuning.prepare import Prepared, Progress, Stages, prepare
 from tuning.sample import Costing
-from tuning.search import Found, Limits, Search, objective
+from tuning.search import Found, Limits, Search, disturbance, objective
 from tuning.sensitivity import Optimum, sensitivities, sentence
 from tuning.verify import Verifier
 
@@ -52,6 +53,7 @@ class TuneResult:
         feasible: by name ("tuned" and the baselines), whether budget and memory hold.
         candidates: everything that was measured, best first.
         stages_s: seconds per stage.
+        population: `over`, and what each motion kept apart makes of the configuration, unless they were pooled.
         sensitivities: what more budget or memory would change, by the surrogate: `tuning.sensitivity`.
         explanation: one paragraph.
         ladder, motions: what the bundle is made of; `motions` are those kept apart.
@@ -64,6 +66,7 @@ class TuneResult:
     feasible: dict[str, bool]
     candidates: tuple[Candidate, ...]
     stages_s: dict[str, float]
+    population: dict[str, Any]
     sensitivities: dict[str, Any]
     explanation: str
     ladder: Ladder
@@ -78,6 +81,7 @@ def tune(
     motions: Sequence[Motion] | None = None,
     *,
     levels: tuple[int, int] = (1, 5),
+    over: str = POOLED,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> TuneResult:
@@ -89,20 +93,31 @@ def tune(
         motions: recorded at the station's rate: the first halves make the surrogate, the second halves verify.
             None: strokes of all four modes, made on the scan.
         levels: fewest and most levels to consider.
+        over: what is minimised of several motions: "pooled", as one long motion; "mean" or "worst" of them.
         seed: of motions and starts.
         progress: told every stage's name and the part done.
 
     Raises:
         InputError: no configuration holds the budget (it says which budget would), or the motions never touch.
     """
+    check_over(over)
     keep_compiled()
     stages = Stages(progress)
     ready = prepare(scan, station, tool, motions, seed=seed, progress=stages)
-    search = Search(ready.measured, ready.space, station.budget_us)
+    search = Search(ready.measured, ready.space, station.budget_us, over, len(ready.seen))
     verifier = Verifier(ready.ladder, tool, station, ready.apart, ready.costing, ready.key)
 
+    def judged(config: LodConfig, metrics: dict[str, float]) -> float:
+        """The objective by what was measured."""
+        pooled = float(objective(metrics, station.budget_us))
+        if over == POOLED:
+            return pooled
+        felt = [disturbance(m["felt_error_jnd"], m["discontinuity_per_s"]) for m in measured_each(verifier, config)]
+        together = disturbance(metrics["felt_error_jnd"], metrics["discontinuity_per_s"])
+        return pooled - together + measured_over(felt, over)
+
     counts = [k for k in range(levels[0], levels[1] + 1) if ready.space.fits(k)] or [1]
-    candidates = _explore(search, verifier, ready, station, counts, seed, stages)
+    candidates = _explore(search, verifier, ready, station, counts, seed, stages, judged)
     stages("measure the baselines", 0.0)
     baselines, feasible = {}, {}
     fixed = baseline_configs(ready.ladder, tool)
@@ -117,7 +132,7 @@ def tune(
             alone,
             {},
             baselines[alone.name],
-            float(objective(baselines[alone.name], station.budget_us)),
+            judged(alone, baselines[alone.name]),
             feasible[alone.name],
         )
     )
@@ -139,6 +154,7 @@ def tune(
         feasible=feasible,
         candidates=tuple(ranked),
         stages_s=stages.seconds,
+        population=_population(over, verifier, chosen.config),
         sensitivities=answers,
         explanation=" ".join(filter(None, reasons)),
         ladder=ready.ladder,
@@ -147,9 +163,17 @@ def tune(
     )
 
 
+def _population(over: str, verifier: Verifier, config: LodConfig) -> dict[str, Any]:
+    if over == POOLED:
+        return {"over": over}
+    keys = ("felt_error_jnd", "discontinuity_per_s")
+    each = zip(verifier.motions, measured_each(verifier, config), strict=True)
+    return {"over": over, "motions": [{"name": m.name, **{key: found[key] for key in keys}} for m, found in each]}
+
+
 def _explore(
     search: Search, verifier: Verifier, ready: Prepared, station: Station, counts: Sequence[int], seed: int,
-    stages: Stages,
+    stages: Stages, judged: Callable[[LodConfig, dict[str, float]], float],
 ) -> list[Candidate]:  # fmt: skip
     """The best of every level count, measured; then the leaders again, with the surrogate's budget corrected."""
     made: list[Candidate] = []
@@ -160,7 +184,7 @@ def _explore(
         warm[count] = found.x
         config = ready.space.config(found.x, count, f"{count} levels")
         metrics = verifier.measured(config)
-        value = float(objective(metrics, station.budget_us))
+        value = judged(config, metrics)
         optimum = Optimum(found.x, count, limits)
         made.append(Candidate(config, found.predicted, metrics, value, _holds(metrics, station), optimum))
         return made[-1]
