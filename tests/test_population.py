@@ -59,7 +59,7 @@ def test_mean_and_worst():
 
 
 def test_the_search_serves_whom_it_is_asked_to_serve(measured):
-    """Of three optima from the same starts each is the best by its own measure."""
+    """Of two optima from the same starts each is the best by its own measure."""
     found = {}
     for over in ("mean", "worst"):
         search = Search(measured, SPACE, 200.0, over, MOTIONS)

@@ -1,8 +1,8 @@
 """A population of motions: what a configuration is judged by when several hands, or tasks, must be content with it.
 
-Pooled, all motions count as one long one: those with much contact and large errors decide. By the mean every motion has
-one vote; by the worst, only the motion that is served worst has. Limits of cost and memory hold for all motions together
-whatever the objective is taken over.
+Pooled, all motions count as one long one: those with much contact and large errors decide. By the mean every motion
+has one vote; by the worst, only the motion that is served worst has. Limits of cost and memory hold for all motions
+together whatever the objective is taken over.
 """
 
 from __future__ import annotations
