@@ -18,6 +18,7 @@ from hapticlod.station import Station
 from hapticlod.tool import Tool
 from tuning.baselines import finest_only
 from tuning.compile_cache import keep_compiled
+from tuning.population import POOLED, check_over
 from tuning.prepare import Prepared, Progress, Stages, prepare
 from tuning.search import MARGIN, Found, Limits, Search
 from tuning.sensitivity import Optimum, marginal_value
@@ -86,6 +87,7 @@ def pareto(
     budgets_us: Sequence[float] | None = None,
     points: int = 8,
     levels: tuple[int, int] = (1, 5),
+    over: str = POOLED,
     seed: int = 0,
     verify: bool = False,
     progress: Progress | None = None,
@@ -93,7 +95,7 @@ def pareto(
     """The front of budget against feel.
 
     Args:
-        scan, tool, motions, levels, seed, progress: as in `tuning.tune.tune`.
+        scan, tool, motions, levels, over, seed, progress: as in `tuning.tune.tune`.
         station: its budget does not matter.
         budgets_us: the budgets; None: `points` of them, from a little more than the cheapest configuration costs to
             what the full scan costs, by the surrogate, and no more than the loop's period.
@@ -110,12 +112,13 @@ def pareto(
             raise InputError("budgets", f"there are {len(budgets_us)}", f"give 1 to {MOST_POINTS}")
         for budget_us in budgets_us:
             station.adjusted(budget_us=budget_us)
+    check_over(over)
     keep_compiled()
     stages = Stages(progress)
     ready = prepare(scan, station, tool, motions, seed=seed, progress=stages)
     stages("follow the front", 0.0)
     # One search, one objective: its trace of cost is measured by the station's budget at every point.
-    search = Search(ready.measured, ready.space, station.budget_us)
+    search = Search(ready.measured, ready.space, station.budget_us, over, len(ready.seen))
     counts = [k for k in range(levels[0], levels[1] + 1) if ready.space.fits(k)] or [1]
     asked = budgets_us or _budgets_us(search, ready, tool, station, points)
     best = follow(search, ready.space, counts, asked, station.memory_mb, seed, stages)

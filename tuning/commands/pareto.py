@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 from rich import box
@@ -37,6 +37,7 @@ def pareto_command(
     motions: Annotated[tuple[Path, ...], Parameter(consume_multiple=True, negative=(), show_default=False)] = (),
     levels: str = f"1-{MOST_LEVELS}",
     loop_hz: float | None = None,
+    over: Literal["pooled", "mean", "worst"] = "pooled",
     seed: int = 0,
 ) -> None:
     """Show what each budget buys, on one scan.
@@ -65,6 +66,8 @@ def pareto_command(
         Numbers of levels to consider, as 1-5 or 3.
     loop_hz
         Loop rate. Default: the station's.
+    over
+        What is minimised where motions are several: as in `hapticlod tune`.
     seed
         Of everything random.
     """
@@ -95,7 +98,7 @@ def pareto_command(
 
         front = pareto(
             cleaned, target, held, recorded or None, budgets_us=asked, points=points or DEFAULT_POINTS,
-            levels=level_counts, seed=seed, verify=verify, progress=told,
+            levels=level_counts, over=over, seed=seed, verify=verify, progress=told,
         )  # fmt: skip
         about = {"scan": cleaned.name, "triangles": cleaned.triangles, "tool": held.name, "station": target.name}
         write_json(output, {**about, "loop_hz": target.loop_hz, "seed": seed, **front.document()})
