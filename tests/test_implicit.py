@@ -76,3 +76,15 @@ def test_saddle_directions_are_left_alone():
 
     found = differentiate_optimum(slopes, np.array([0.5, 0.5]), np.array([[-1.0]]))
     assert np.isfinite(found.x).all() and np.abs(found.x).max() < 2.0
+
+
+@pytest.mark.parametrize("broken_at", [0.5, 0.497])
+def test_slopes_that_are_not_finite_are_told(broken_at):
+    """At the optimum itself, or at a neighbour that differences look at."""
+
+    def slopes(x):
+        bad = np.nan if abs(x[0] - broken_at) < 1e-6 else 0.0
+        return np.array([-1.0 + bad, 2 * (x[1] - 1)]), np.array([x.sum() - 1.0]), np.ones((1, 2))
+
+    found = differentiate_optimum(slopes, np.array([0.5, 0.5]), np.array([[-1.0]]))
+    assert found.residual == np.inf and not found.x.any()

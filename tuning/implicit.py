@@ -42,7 +42,8 @@ class Response:
         x: (n, q) dx/dp.
         objective: (q,) df/dp.
         multipliers: (m,) of the excesses, at least 0; 0 where one does not bind.
-        residual: largest entry of grad f + C' l over that of grad f: 0 at a minimum. Where it is not small, x was none.
+        residual: largest entry of grad f + C' l over that of grad f: 0 at a minimum. Where it is not small, x was none;
+            infinite where slopes at x or near it are not finite.
         violation: the largest excess; above 0 where x breaks a limit.
     """
 
@@ -78,12 +79,15 @@ def differentiate_optimum(
     """
     n, moves = len(x), np.ones(len(x), bool) if moving is None else moving
     gradient, excess, jacobian = slopes(x)
+    nothing = Response(np.zeros((n, shift.shape[1])), np.zeros(shift.shape[1]), np.zeros(len(excess)), np.inf, np.inf)
+    if not all(np.isfinite(part).all() for part in (gradient, excess, jacobian)):
+        return nothing
     rows, room = _all_rows(x, linear)
     rows = rows[:, moves]
     candidates = np.flatnonzero((room <= _ROOM) & (np.abs(rows).sum(axis=1) > 0))
     tight = np.flatnonzero(excess >= -near)
     binding = np.concatenate([jacobian[np.ix_(tight, moves)], rows[candidates]])
-    multipliers, _ = nnls(binding.T, -gradient[moves]) if len(binding) else (np.zeros(0), 0.0)
+    multipliers, _ = nnls(binding.T, -gradient[moves], maxiter=100 * n) if len(binding) else (np.zeros(0), 0.0)
     residual = np.abs(gradient[moves] + binding.T @ multipliers).max(initial=0.0)
     largest = np.abs(gradient[moves]).max(initial=0.0)
     weights = np.zeros(len(excess))
@@ -96,6 +100,8 @@ def differentiate_optimum(
     dx = np.zeros((n, shift.shape[1]))
     if moved[holds].any():  # else no parameter reaches the optimum
         hessian = _hessian(slopes, x, weights, moves, active, step, many)
+        if not np.isfinite(hessian).all():
+            return nothing
         dx[moves] = _shortest(hessian, active, -moved[holds])
     return Response(dx, weights @ shift, weights, float(residual / max(largest, 1e-12)), float(excess.max()))
 

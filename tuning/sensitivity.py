@@ -55,8 +55,8 @@ def sensitivities(search: Search, space: Space, optimum: Optimum | None, station
         station: its budget and memory limit are what is moved.
 
     Returns:
-        dict: `residual` (0 at a minimum), `reliable`, and by limit `binds` and the derivatives. These are null where
-        the search did not end at a minimum, 0 where the limit does not bind.
+        dict: `residual` (0 at a minimum; null where slopes were not finite), `reliable`, and by limit `binds` and the
+        derivatives. These are null where the search did not end at a minimum, 0 where the limit does not bind.
     """
     names = ("objective", *METRICS)
     if optimum is None:
@@ -70,7 +70,8 @@ def sensitivities(search: Search, space: Space, optimum: Optimum | None, station
         )  # fmt: skip
     kept = found.violation <= MOST_VIOLATION
     reliable = bool(kept and found.residual <= MOST_RESIDUAL and np.isfinite(found.x).all())
-    told: dict[str, Any] = {"residual": float(found.residual), "reliable": reliable}
+    residual = float(found.residual) if np.isfinite(found.residual) else None
+    told: dict[str, Any] = {"residual": residual, "reliable": reliable}
     for i, (name, value) in enumerate(zip(LIMITS, (station.budget_us, station.memory_mb), strict=True)):
         binds = bool(found.multipliers[i] > 1e-6)
         slopes = _metric_slopes(search, optimum, found, i)
