@@ -15,7 +15,7 @@ CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
 
 .PHONY: help setup configure build product test test-cpp test-sanitized test-python lint format demo bench bench-quick soak \
-    evaluate-surrogate clean
+    evaluate-surrogate bench-tuners clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -76,6 +76,10 @@ soak: build  ## random motions against the invariants of contact: TICKS=1e8, or 
 
 evaluate-surrogate: build  ## predictions against measurements: SCAN=file [MOTIONS="a.csv b.csv"] [TOOL=file] [CONFIGS=60] [JSON=out.json]
 	@$(BIN)/python benchmarks/evaluate_surrogate.py $(if $(SCAN),--scan="$(SCAN)") $(if $(MOTIONS),--motions="$(MOTIONS)") $(if $(TOOL),--tool="$(TOOL)") $(if $(STATION),--station="$(STATION)") $(if $(CONFIGS),--configs="$(CONFIGS)") $(if $(SEED),--seed="$(SEED)") $(if $(UNIT),--unit="$(UNIT)") $(if $(JSON),--json="$(JSON)")
+
+bench-tuners: build  ## our tuner against Optuna TPE, CMA-ES, random search, a grid: SCAN=file [TOOL=file] [EVALUATIONS=400] [SECONDS_EACH=0] [BUDGET=us] [JSON=out.json]
+	@$(BIN)/python -c "import cmaes, optuna" 2>/dev/null || $(BIN)/pip install -q --no-build-isolation -e '.[bench]'
+	@$(BIN)/python -m benchmarks.bench_tuners $(if $(SCAN),--scan="$(SCAN)") $(if $(MOTIONS),--motions="$(MOTIONS)") $(if $(TOOL),--tool="$(TOOL)") $(if $(STATION),--station="$(STATION)") $(if $(BUDGET),--budget-us="$(BUDGET)") $(if $(EVALUATIONS),--evaluations="$(EVALUATIONS)") $(if $(SECONDS_EACH),--seconds="$(SECONDS_EACH)") $(if $(SEED),--seed="$(SEED)") $(if $(UNIT),--unit="$(UNIT)") $(if $(JSON),--json="$(JSON)")
 
 clean:  ## remove build products (keeps .venv)
 	@rm -rf build dist hapticlod/_runtime.*

@@ -9,6 +9,7 @@ from hapticlod.perception import load_perception
 from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_sizes, window_samples
 from hapticlod.surrogate.ladder_curves import ladder_curves
 from hapticlod.surrogate.measurement import Feel, Instants, LadderMeasurement
+from tuning.space import Space
 
 RUNGS, SUBSETS, CELLS = 4, 2, 3
 TICKS_PER_BIN, BINS_PER_WINDOW, BINS_PER_INSTANT = 4, 4, 4
@@ -92,3 +93,12 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
         dwell_ticks=0,
         perception=perception,
     )
+
+
+def made_space() -> Space:
+    """The box to search on it."""
+    coarseness = np.log([1.0, 3.0, 10.0, 40.0])
+    return Space(
+        triangles=(2500.0, 1e5), balls=(4.0, 16.0), edge_log_triangles=np.log(1e5) - coarseness[::-1],
+        edge_log_mm=0.5 * coarseness[::-1] - 1, speeds_mm_s=(5.0, 200.0), l_mm=(0.05, 1.0),
+    )  # fmt: skip

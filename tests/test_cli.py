@@ -175,7 +175,7 @@ class TestTuning:
 
     KEYS: ClassVar = {
         "levels", "speeds_mm_s", "hysteresis", "l_in_mm", "l_out_mm", "blend_ms", "filter_hz", "predicted", "measured",
-        "baselines", "stages_s",
+        "baselines", "stages_s", "population", "sensitivities",
     }  # fmt: skip
 
     def test_json_holds_the_configuration_and_its_numbers(self, tuned: SimpleNamespace) -> None:
@@ -188,6 +188,8 @@ class TestTuning:
         assert set(told["baselines"]) == {"finest_only", "coarsest_only", "paper"}
         assert told["measured"]["loop_cost_p999_us"] <= 500.0
         assert told["feasible"] is True and told["explanation"]
+        assert {"residual", "reliable", "budget_us", "memory_mb"} == told["sensitivities"].keys()
+        assert told["population"] == {"over": "pooled"}
         assert all(seconds >= 0 for seconds in told["stages_s"].values()) and "optimise" in told["stages_s"]
 
     def test_the_table_shows_every_column_at_80_characters(self, tuned: SimpleNamespace) -> None:

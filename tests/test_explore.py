@@ -48,7 +48,10 @@ def explore(true_over_predicted: Any) -> tuple[list[Any], list[float]]:
     search: Any = Optimist()
     verifier: Any = SimpleNamespace(measured=measured)
     ready: Any = SimpleNamespace(space=SimpleNamespace(config=config))
-    made = _explore(search, verifier, ready, station(), [1], 0, lambda *stage: None)  # pyright: ignore[reportArgumentType]
+    made = _explore(
+        search, verifier, ready, station(), [1], 0, lambda *stage: None,  # pyright: ignore[reportArgumentType]
+        lambda config, metrics: metrics["felt_error_jnd"],
+    )  # fmt: skip
     return made, search.asked
 
 

@@ -36,6 +36,7 @@ app.command(
     "tuning.commands.calibrate:calibrate_command", name="calibrate", help="Measure what a tick costs on this machine."
 )
 app.command("tuning.commands.check:check_command", name="check", help="Say what is wrong with a scan.")
+app.command("tuning.commands.pareto:pareto_command", name="pareto", help="Show what each budget buys, on one scan.")
 app.command("tuning.commands.inspect:inspect_command", name="inspect", help="Show what a bundle holds.")
 
 

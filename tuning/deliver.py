@@ -49,6 +49,8 @@ def document(result: TuneResult) -> dict[str, Any]:
         "measured": _numbers(result.measured),
         "baselines": baselines,
         "stages_s": {name: round(seconds, 3) for name, seconds in result.stages_s.items()},
+        "population": result.population,
+        "sensitivities": result.sensitivities,
         "explanation": result.explanation,
     }
 

@@ -16,9 +16,10 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from hapticlod.surrogate.measurement import LadderMeasurement
-from hapticlod.surrogate.surrogate import predict
+from hapticlod.surrogate.surrogate import predict_members
 from tuning.compile_cache import compiled
 from tuning.optimise import SequentialQuadratic
+from tuning.population import POOLED, over_motions
 from tuning.sample import threads
 from tuning.space import Space, decode
 
@@ -72,6 +73,7 @@ class Problem(eqx.Module):
     - `levels`: how many are used.
     - `budget_us`, `memory_mb`: limits. `station_us`: the station's own budget, for miss rates and the cost's weight.
     - `rows`, `row_limits`: order of levels.
+    - `over`, `motions`: what the objective is taken over (`tuning.population`), and how many motions there are.
     """
 
     log_low: Float[Array, " n"]
@@ -82,38 +84,55 @@ class Problem(eqx.Module):
     station_us: Array
     rows: Float[Array, "p n"]
     row_limits: Float[Array, " p"]
+    over: str = eqx.field(static=True)
+    motions: int = eqx.field(static=True)
 
 
 def objective(metrics: Any, budget_us: Any) -> Any:
     """What is minimised: felt error plus noticed jumps, and a trace of cost to settle ties."""
     return (
-        metrics["felt_error_jnd"]
-        + DISCONTINUITY_WEIGHT * metrics["discontinuity_per_s"]
+        disturbance(metrics["felt_error_jnd"], metrics["discontinuity_per_s"])
         + COST_WEIGHT * metrics["loop_cost_mean_us"] / budget_us
     )
 
 
-def _metrics(x: Float[Array, " n"], measured: LadderMeasurement, problem: Problem, sharpness: Array) -> Any:
+def disturbance(felt_error_jnd: Any, discontinuity_per_s: Any) -> Any:
+    """What is felt of a configuration: the objective without its trace of cost."""
+    return felt_error_jnd + DISCONTINUITY_WEIGHT * discontinuity_per_s
+
+
+def _metrics(
+    x: Float[Array, " n"], measured: LadderMeasurement, problem: Problem, sharpness: Array
+) -> tuple[Any, Array]:
+    """The metrics, and the objective over the motions."""
     parameters = decode(problem.log_low + x * problem.log_span, problem.levels)
-    return predict(measured, parameters, problem.station_us, sharpness)
+    station_us = problem.station_us
+    found, members = predict_members(measured, parameters, station_us, sharpness, problem.motions)
+    if problem.over == POOLED:
+        return found, objective(found, station_us)
+    each = disturbance(members.felt_error_jnd, members.discontinuity_per_s)
+    return found, over_motions(each, problem.over) + COST_WEIGHT * found["loop_cost_mean_us"] / station_us
 
 
 def value_and_excess(x: Float[Array, " n"], args: Any) -> tuple[Array, Array]:
     """Objective, and ln of p99.9 cost and memory over their limits. `args`: measured, problem, sharpness."""
     measured, problem, sharpness = args
-    found = _metrics(x, measured, problem, sharpness)
+    found, value = _metrics(x, measured, problem, sharpness)
     over = [found["loop_cost_p999_us"] / problem.budget_us, found["memory_mb"] / problem.memory_mb]
-    return objective(found, problem.station_us), jnp.log(jnp.stack(over))
+    return value, jnp.log(jnp.stack(over))
 
 
 @compiled
-def _solve(x0: Array, measured: LadderMeasurement, problem: Problem, sharpness: Array) -> Array:
+def _solve(
+    x0: Array, measured: LadderMeasurement, problem: Problem, sharpness: Array, most_steps: Array
+) -> tuple[Array, tuple[Array, Array, Array]]:
+    """The best point met, and gradient, excess and Jacobian at the last: after one step that is x0."""
     options = {"lower": jnp.zeros_like(x0), "upper": jnp.ones_like(x0), "linear": (problem.rows, problem.row_limits)}
-    options["most_steps"] = jnp.where(sharpness < SHARP, SOFT_STEPS, MOST_STEPS)
+    options["most_steps"] = most_steps
     solver = SequentialQuadratic()
     args = (measured, problem, sharpness)
     found = optx.minimise(value_and_excess, solver, x0, args, options, has_aux=True, max_steps=MOST_STEPS, throw=False)
-    return found.value
+    return found.value, (found.state.gradient, found.state.excess, found.state.jacobian)
 
 
 _look = compiled(_metrics)
@@ -122,8 +141,11 @@ _look = compiled(_metrics)
 class Search:
     """Optimises on one surrogate; level counts, limits and starts are arguments."""
 
-    def __init__(self, measured: LadderMeasurement, space: Space, budget_us: float) -> None:
+    def __init__(
+        self, measured: LadderMeasurement, space: Space, budget_us: float, over: str = POOLED, motions: int = 1
+    ) -> None:
         self._measured, self._space, self._budget_us = measured, space, budget_us
+        self._over, self._motions = over, motions
         self._compiled = False
 
     def _problem(self, levels: int, limits: Limits) -> Problem:
@@ -133,7 +155,7 @@ class Search:
         levels_, budget, memory, station = (jnp.asarray(value) for value in scalars)
         return Problem(
             jnp.asarray(low), jnp.asarray(high - low), levels_, budget, memory, station,
-            jnp.asarray(rows), jnp.asarray(row_limits),
+            jnp.asarray(rows), jnp.asarray(row_limits), self._over, 1 if self._over == POOLED else self._motions,
         )  # fmt: skip
 
     def best(self, levels: int, limits: Limits, seed: int, near: NDArray[np.float64] | None = None) -> Found:
@@ -161,7 +183,9 @@ class Search:
             levels, start, sharpness = task
             with jax.enable_x64(True):  # of this thread
                 x0 = jnp.asarray(self._space.ordered(start, levels))
-                x = np.asarray(_solve(x0, self._measured, self._problem(levels, held), jnp.asarray(sharpness)))
+                steps = jnp.asarray(SOFT_STEPS if sharpness < SHARP else MOST_STEPS)
+                best, _ = _solve(x0, self._measured, self._problem(levels, held), jnp.asarray(sharpness), steps)
+                x = np.asarray(best)
             return self.look(self._space.ordered(x, levels), levels, limits)
 
         heads = dict(near)
@@ -183,7 +207,8 @@ class Search:
 
         def build() -> None:
             with jax.enable_x64(True):
-                _solve(jnp.asarray(x), self._measured, self._problem(levels, limits), jnp.asarray(SOFT))
+                one = jnp.asarray(1)
+                _solve(jnp.asarray(x), self._measured, self._problem(levels, limits), jnp.asarray(SOFT), one)
 
         wait = pool.submit(build)
         self.look(x, levels, limits)
@@ -196,17 +221,28 @@ class Search:
         looks = list(pool.map(lambda x: self.look(x, levels, limits), points))
         return [points[i] for i in sorted(range(SCREENED), key=lambda i: looks[i].promise)[:STARTS]]
 
+    def slopes(
+        self, x: NDArray[np.float64], levels: int, limits: Limits
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Gradient (n,) of the objective; excess (2,) over budget and memory as the search allows them, ln, and its
+        Jacobian (2, n). By the code that was compiled for searching."""
+        held = Limits(MARGIN * limits.budget_us, limits.memory_mb)
+        with jax.enable_x64(True):
+            asked = jnp.asarray(x), self._measured, self._problem(levels, held), jnp.asarray(SHARP), jnp.asarray(1)
+            gradient, excess, jacobian = map(np.asarray, _solve(*asked)[1])
+        return gradient, excess, jacobian
+
     def look(self, x: NDArray[np.float64], levels: int, limits: Limits) -> Found:
         """What the surrogate says of x."""
         with jax.enable_x64(True):
             sharpness = jnp.asarray(SHARP)
-            raw = _look(jnp.asarray(x), self._measured, self._problem(levels, limits), sharpness)
+            raw, value = _look(jnp.asarray(x), self._measured, self._problem(levels, limits), sharpness)
             predicted = {name: float(value) for name, value in raw.items()}
         excess = max(
             np.log(predicted["loop_cost_p999_us"] / limits.budget_us),
             np.log(predicted["memory_mb"] / limits.memory_mb),
         )
-        return Found(np.asarray(x), float(objective(predicted, self._budget_us)), float(excess), predicted)
+        return Found(np.asarray(x), float(value), float(excess), predicted)
 
 
 def _first(found: Sequence[Found], levels: int) -> Found:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +18,11 @@ from hapticlod.tool import Tool
 from tuning.baselines import baselines as baseline_configs
 from tuning.compile_cache import keep_compiled
 from tuning.explain import explain
+from tuning.population import POOLED, check_over, measured_each, measured_over
 from tuning.prepare import Prepared, Progress, Stages, prepare
 from tuning.sample import Costing
-from tuning.search import Found, Limits, Search, objective
+from tuning.search import Found, Limits, Search, disturbance, objective
+from tuning.sensitivity import Optimum, sensitivities, sentence
 from tuning.verify import Verifier
 
 ROUNDS = 3
@@ -31,13 +34,14 @@ AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surro
 
 @dataclass(frozen=True)
 class Candidate:
-    """A configuration with what was predicted of it and what was measured."""
+    """A configuration with what was predicted of it and what was measured; `optimum`: of the search it came from."""
 
     config: LodConfig
     predicted: dict[str, float]
     measured: dict[str, float]
     objective: float
     feasible: bool
+    optimum: Optimum | None = None
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,8 @@ class TuneResult:
         feasible: by name ("tuned" and the baselines), whether budget and memory hold.
         candidates: everything that was measured, best first.
         stages_s: seconds per stage.
+        population: `over`, and what each motion kept apart makes of the configuration, unless they were pooled.
+        sensitivities: what more budget or memory would change, by the surrogate: `tuning.sensitivity`.
         explanation: one paragraph.
         ladder, motions: what the bundle is made of; `motions` are those kept apart.
     """
@@ -62,6 +68,8 @@ class TuneResult:
     feasible: dict[str, bool]
     candidates: tuple[Candidate, ...]
     stages_s: dict[str, float]
+    population: dict[str, Any]
+    sensitivities: dict[str, Any]
     explanation: str
     ladder: Ladder
     motions: tuple[Motion, ...]
@@ -75,6 +83,7 @@ def tune(
     motions: Sequence[Motion] | None = None,
     *,
     levels: tuple[int, int] = (1, 5),
+    over: str = POOLED,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> TuneResult:
@@ -86,20 +95,31 @@ def tune(
         motions: recorded at the station's rate: the first halves make the surrogate, the second halves verify.
             None: strokes of all four modes, made on the scan.
         levels: fewest and most levels to consider.
+        over: what is minimised of several motions: "pooled", as one long motion; "mean" or "worst" of them.
         seed: of motions and starts.
         progress: told every stage's name and the part done.
 
     Raises:
         InputError: no configuration holds the budget (it says which budget would), or the motions never touch.
     """
+    check_over(over)
     keep_compiled()
     stages = Stages(progress)
     ready = prepare(scan, station, tool, motions, seed=seed, progress=stages)
-    search = Search(ready.measured, ready.space, station.budget_us)
+    search = Search(ready.measured, ready.space, station.budget_us, over, len(ready.seen))
     verifier = Verifier(ready.ladder, tool, station, ready.apart, ready.costing, ready.key)
 
+    def judged(config: LodConfig, metrics: dict[str, float]) -> float:
+        """The objective by what was measured."""
+        pooled = float(objective(metrics, station.budget_us))
+        if over == POOLED:
+            return pooled
+        felt = [disturbance(m["felt_error_jnd"], m["discontinuity_per_s"]) for m in measured_each(verifier, config)]
+        together = disturbance(metrics["felt_error_jnd"], metrics["discontinuity_per_s"])
+        return pooled - together + measured_over(felt, over)
+
     counts = [k for k in range(levels[0], levels[1] + 1) if ready.space.fits(k)] or [1]
-    candidates = _explore(search, verifier, ready, station, counts, seed, stages)
+    candidates = _explore(search, verifier, ready, station, counts, seed, stages, judged)
     stages("measure the baselines", 0.0)
     baselines, feasible = {}, {}
     fixed = baseline_configs(ready.ladder, tool)
@@ -107,18 +127,20 @@ def tune(
         baselines[config.name] = verifier.measured(config)
         feasible[config.name] = _holds(baselines[config.name], station)
         stages("measure the baselines", (i + 1) / len(fixed))
-    stages.close()
     # The finest and the coarsest level alone are candidates like any other.
     for alone in fixed[:2]:
         found = baselines[alone.name]
-        value = float(objective(found, station.budget_us))
-        candidates.append(Candidate(alone, {}, found, value, feasible[alone.name]))
+        candidates.append(Candidate(alone, {}, found, judged(alone, found), feasible[alone.name]))
     ranked = sorted(candidates, key=lambda c: (not c.feasible, c.objective))
     chosen = ranked[0]
     if not chosen.feasible:
         raise _nothing_fits(candidates, station)
     predicted = chosen.predicted or search.look(ready.space.point(chosen.config), 1, _limits(station, 1.0)).predicted
     feasible["tuned"] = True
+    stages("differentiate the optimum", 0.0)
+    answers = sensitivities(search, ready.space, chosen.optimum, station)
+    stages.close()
+    reasons = explain(ranked, baselines, station, scan.triangles, tool), sentence(answers, station)
     return TuneResult(
         config=chosen.config.changed(name="tuned"),
         predicted=predicted,
@@ -127,35 +149,46 @@ def tune(
         feasible=feasible,
         candidates=tuple(ranked),
         stages_s=stages.seconds,
-        explanation=explain(ranked, baselines, station, scan.triangles, tool),
+        population=_population(over, verifier, chosen.config),
+        sensitivities=answers,
+        explanation=" ".join(filter(None, reasons)),
         ladder=ready.ladder,
         motions=ready.apart,
         costing=ready.costing,
     )
 
 
+def _population(over: str, verifier: Verifier, config: LodConfig) -> dict[str, Any]:
+    if over == POOLED:
+        return {"over": over}
+    keys = ("felt_error_jnd", "discontinuity_per_s")
+    each = zip(verifier.motions, measured_each(verifier, config), strict=True)
+    return {"over": over, "motions": [{"name": m.name, **{key: found[key] for key in keys}} for m, found in each]}
+
+
 def _explore(
     search: Search, verifier: Verifier, ready: Prepared, station: Station, counts: Sequence[int], seed: int,
-    stages: Stages,
+    stages: Stages, judged: Callable[[LodConfig, dict[str, float]], float],
 ) -> list[Candidate]:  # fmt: skip
     """The most promising level counts, each at its best, measured; then the leaders again, with the surrogate's budget
     corrected."""
     made: list[Candidate] = []
     warm: dict[int, np.ndarray] = {}
 
-    def verified(count: int, found: Found) -> Candidate:
+    def verified(count: int, found: Found, limits: Limits) -> Candidate:
         stages("verify in the runtime", len(made) / (MEASURED + LEADERS))
         warm[count] = found.x
         config = ready.space.config(found.x, count, f"{count} levels")
         metrics = verifier.measured(config)
-        value = float(objective(metrics, station.budget_us))
-        made.append(Candidate(config, found.predicted, metrics, value, _holds(metrics, station)))
+        value = judged(config, metrics)
+        optimum = Optimum(found.x, count, limits)
+        made.append(Candidate(config, found.predicted, metrics, value, _holds(metrics, station), optimum))
         return made[-1]
 
     stages("optimise", 0.0)
     every = search.best_of_each(counts, _limits(station, 1.0), seed)
     promising = sorted(counts, key=lambda count: every[count].rank)[:MEASURED]
-    latest = {count: verified(count, every[count]) for count in sorted(promising)}
+    latest = {count: verified(count, every[count], _limits(station, 1.0)) for count in sorted(promising)}
     used = dict.fromkeys(latest, 1.0)
     for turn in range(1, ROUNDS + RESCUES):
         rescuing = not any(candidate.feasible for candidate in made)
@@ -171,7 +204,8 @@ def _explore(
             if not latest[count].feasible:
                 correction = min(correction, 0.7 * used[count])  # what was asked for last time was too much
             used[count] = correction
-            latest[count] = verified(count, search.best(count, _limits(station, correction), seed + turn, warm[count]))
+            limits = _limits(station, correction)
+            latest[count] = verified(count, search.best(count, limits, seed + turn, warm[count]), limits)
     return made
 
 

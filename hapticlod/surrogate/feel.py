@@ -165,8 +165,8 @@ def blend_square(
     speed_mm_s: Float[Array, " I"],
     blend_s: Float[Array, ""],
     tick_s: float,
-) -> Float[Array, ""]:
-    """What fading offsets add to the sum over ticks of weight |F - R|^2.
+) -> Float[Array, " I"]:
+    """What fading offsets add to the sum over ticks of weight |F - R|^2, at each instant.
 
     The offset fades linearly: its square sums to a third of the blend's ticks, its product with the new level's error
     to the blend's ticks (half, twice) while that error stays what it was, which it does for about one edge of travel.
@@ -177,7 +177,7 @@ def blend_square(
     kept = 1 / (1 + speed_mm_s * blend_s / switches.entered_edge_mm)
     own = switches.distance_sq * left**2 * (1 - (1 - done) ** 3) * ticks / 3
     added = own + switches.cross * left * (1 - (1 - done) ** 2) * kept * ticks
-    return jnp.sum(switches.flow * weight * added)
+    return jnp.sum(switches.flow * weight * added, axis=0)
 
 
 def blend_band_square(

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -41,13 +42,36 @@ def memory_mb(measured: LadderMeasurement, parameters: Parameters) -> Float[Arra
     return jnp.sum(parameters.used * jnp.exp(log_bytes)) / 1e6
 
 
+class Members(eqx.Module):
+    """What each of M motions makes of a configuration, (M,) each: the metrics of these names, of that motion alone."""
+
+    felt_error_jnd: Float[Array, " M"]
+    discontinuity_per_s: Float[Array, " M"]
+
+
 def predict(
     measured: LadderMeasurement,
     parameters: Parameters,
     budget_us: Float[Array, ""] | float,
     sharpness: Float[Array, ""] | float = SHARPNESS,
 ) -> Metrics:
-    """All metrics of one configuration.
+    """All metrics of one configuration, over all motions together.
+
+    **Arguments:** as `predict_members`.
+
+    **Returns:** scalars by PERCEPTION's keys.
+    """
+    return predict_members(measured, parameters, budget_us, sharpness)[0]
+
+
+def predict_members(
+    measured: LadderMeasurement,
+    parameters: Parameters,
+    budget_us: Float[Array, ""] | float,
+    sharpness: Float[Array, ""] | float = SHARPNESS,
+    motions: int = 1,
+) -> tuple[Metrics, Members]:
+    """All metrics of one configuration, and what each motion makes of it.
 
     **Arguments:**
 
@@ -55,8 +79,9 @@ def predict(
     - `parameters`: the configuration.
     - `budget_us`: what a tick may cost, for the miss rate.
     - `sharpness`: of the soft triggers; annealed upward by the optimiser.
+    - `motions`: how many there are.
 
-    **Returns:** scalars by PERCEPTION's keys.
+    **Returns:** scalars by PERCEPTION's keys; the motions in their order.
     """
     where = level_places(measured, parameters)
     edge_mm = jnp.exp(jnp.sum(where.linear, axis=2) @ measured.log_edge_mm)
@@ -97,11 +122,14 @@ def predict(
 
     feel, hand_mm_s = measured.feel, grouped(speed, per_instant) / per_instant
     felt_mix, force_mix = mixed(feel.felt), mixed(feel.force_sq)
-    either = jnp.maximum(total(mixed(feel.either)), 1.0)
+    either_mix = mixed(feel.either)
+    either = jnp.maximum(total(either_mix), 1.0)
     both = jnp.maximum(total(mixed(feel.both)), 1.0)
-    felt = total(felt_mix) + blend_square(events, instants.felt_per_n2, hand_mm_s, blend_s, tick_s)
-    felt += jnp.sum(lost * (per_instant * instants.lost_felt - ticks_per_bin * grouped(felt_mix, bins_per_instant)))
-    force = total(force_mix) + blend_square(events, 1.0, hand_mm_s, blend_s, tick_s)
+    level_felt = ticks_per_bin * grouped(felt_mix, bins_per_instant)
+    felt_at = level_felt + blend_square(events, instants.felt_per_n2, hand_mm_s, blend_s, tick_s)
+    felt_at += lost * (per_instant * instants.lost_felt - level_felt)
+    felt = jnp.sum(felt_at)
+    force = total(force_mix) + jnp.sum(blend_square(events, 1.0, hand_mm_s, blend_s, tick_s))
     force += per_instant * jnp.sum(
         lost * (instants.lost_force_sq - grouped(force_mix, bins_per_instant) / bins_per_instant)
     )
@@ -132,7 +160,15 @@ def predict(
     peak_n = smooth_quantiles(peaks, erring, (0.99, 1 - 0.5 / measured.bins), peak_width)
     jump_n = some * smooth_quantiles(jumps, flows, (0.5, 0.99, last_jump), jump_width)
 
-    return {
+    motion = jnp.clip(jnp.cumsum(instants.starts) - 1, 0, motions - 1)
+    each = lambda at: jax.ops.segment_sum(at, motion, motions)
+    either_each = jnp.maximum(each(ticks_per_bin * grouped(either_mix, bins_per_instant)), 1.0)
+    members = Members(
+        felt_error_jnd=jnp.sqrt(jnp.maximum(each(felt_at), 0.0) / either_each + 1e-14),
+        discontinuity_per_s=each(jnp.sum(events.flow * events.noticed, axis=0)) / (either_each * tick_s),
+    )
+
+    metrics = {
         "loop_cost_mean_us": costs.mean_us(),
         "loop_cost_p50_us": cost_us[0],
         "loop_cost_p99_us": cost_us[1],
@@ -157,3 +193,4 @@ def predict(
         "energy_out_mj": jnp.where(jnp.any(cycles > 0), smooth_max(work, 0.02), 0.0),
         "memory_mb": memory_mb(measured, parameters),
     }
+    return metrics, members

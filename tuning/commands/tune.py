@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -39,6 +39,7 @@ def tune_command(
     levels: str = f"1-{MOST_LEVELS}",
     budget_us: float | None = None,
     loop_hz: float | None = None,
+    over: Literal["pooled", "mean", "worst"] = "pooled",
     seed: int = 0,
     json: Path | None = None,
 ) -> None:
@@ -69,6 +70,9 @@ def tune_command(
         Loop cost that one tick may have at p99.9. Default: the station's.
     loop_hz
         Loop rate. Default: the station's.
+    over
+        What is minimised where motions are several: what all of them feel as one long motion, or the mean or the worst
+        of what each feels. Budget and memory hold for all together.
     seed
         Of everything random: the same seed gives the same answer from the same measurements.
     json
@@ -103,7 +107,9 @@ def tune_command(
         from tuning.deliver import document, write_tuned
         from tuning.tune import tune
 
-        result = tune(cleaned, target, held, recorded or None, levels=level_counts, seed=seed, progress=progress)
+        result = tune(
+            cleaned, target, held, recorded or None, levels=level_counts, over=over, seed=seed, progress=progress
+        )
         progress("write the bundle", 0.0)
         write_tuned(output, result, cleaned, target, held, seed)
         if json is not None:
