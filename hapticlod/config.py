@@ -112,13 +112,14 @@ class LodConfig(TomlModel):
             levels.append(made)
         return self.changed(levels=levels, speeds_mm_s=speeds)
 
-    def to_runtime(self, station: "Station", tool: "Tool", origin_mm: ArrayLike) -> Any:
+    def to_runtime(self, station: "Station", tool: "Tool", origin_mm: ArrayLike, *, cut_short: bool = True) -> Any:
         """This configuration as the runtime's ConfigData: a numpy scalar of `hapticlod.layout.CONFIG_DTYPE`.
 
         Args:
             station: gives rate, budget, stiffness and limits.
             tool: bounds the number of balls per level.
             origin_mm: (3,) place of the scan frame that level vertices are relative to.
+            cut_short: end a tick whose work is far beyond the budget; False: every tick is solved to the end.
         """
         data: Any = np.zeros((), dtype=CONFIG_DTYPE)
         data["version"] = CONFIG_VERSION
@@ -139,7 +140,7 @@ class LodConfig(TomlModel):
         data["max_force_n"] = station.max_force_n
         data["max_slew_n_s"] = station.max_slew_n_s
         data["engage_s"] = station.engage_ms * 1e-3
-        data["work_limit"] = WORK_PER_US * station.budget_us / station.slowdown
+        data["work_limit"] = WORK_PER_US * station.budget_us / station.slowdown if cut_short else 0.0
         for field in ("filter_hz", "hysteresis", "l_in_mm", "l_out_mm", "crack_mm"):
             data[field] = getattr(self, field)
         longer = max(self.l_in_mm, self.l_out_mm)

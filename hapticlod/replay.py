@@ -120,10 +120,16 @@ def replay_levels(
     tool: Tool,
     station: Station,
     repeats: int,
+    *,
+    cut_short: bool = True,
 ) -> Record:
-    """`replay` on levels that are already built (their meshes must be those the configuration names)."""
+    """`replay` on levels that are already built (their meshes must be those the configuration names).
+
+    `cut_short=False` solves every tick to the end: then forces do not depend on the station's budget.
+    """
     balls = np.column_stack([tool.centres_mm, tool.radii_mm])
-    renderer = _runtime.Renderer(levels, config.to_runtime(station, tool, origin_mm).tobytes(), balls)
+    data = config.to_runtime(station, tool, origin_mm, cut_short=cut_short)
+    renderer = _runtime.Renderer(levels, data.tobytes(), balls)
     raw = renderer.replay(
         np.ascontiguousarray(motion.time_s, dtype=np.float64),
         np.ascontiguousarray(motion.position_mm, dtype=np.float64),

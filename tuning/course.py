@@ -125,8 +125,7 @@ def _replay(surfaces: Sequence[_Surface], station: Station, tool: Tool, motion: 
     speed_mm_s = np.linalg.norm(np.diff(motion.position_mm, axis=0), axis=1) * station.loop_hz
     speeds = (max(float(np.median(speed_mm_s)), 1.0),) * (len(surfaces) - 1)
     config = LodConfig(levels=levels, speeds_mm_s=speeds, l_in_mm=1.0, l_out_mm=1.0, hysteresis=0.1)
-    scalar = config.to_runtime(station, tool, surfaces[0].scan.centre_mm)
-    scalar["work_limit"] = 0.0  # what this machine cannot afford is to be seen as well
+    scalar = config.to_runtime(station, tool, surfaces[0].scan.centre_mm, cut_short=False)
     renderer = _runtime.Renderer([s.level for s in surfaces], scalar.tobytes(), tool.rows)
     orientation = None if motion.orientation is None else np.ascontiguousarray(motion.orientation)
     raw = renderer.replay(motion.time_s, np.ascontiguousarray(motion.position_mm), orientation, REPEATS)

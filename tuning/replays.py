@@ -75,7 +75,7 @@ def replay_fixed(
     bench: Bench, level: Any, rung: int, balls: int, motions: Sequence[Motion], repeats: int, cell: int | None = None
 ) -> list[NDArray]:
     """Rows of one rung with one subset, one array per motion."""
-    scalar = bench.fixed(rung, balls, cell).to_runtime(bench.station, bench.tool, bench.origin_mm)
+    scalar = bench.fixed(rung, balls, cell).to_runtime(bench.station, bench.tool, bench.origin_mm, cut_short=False)
     renderer = bench.renderer([level], scalar)
     return [run(renderer, motion, repeats) for motion in motions]
 
@@ -159,7 +159,7 @@ def unreached_levels(
 ) -> Any:
     """CONFIG_DTYPE scalar of levels in the leg's order; no speed reaches a threshold: only the floor moves."""
     first = bench.fixed(0, bench.grid.balls[0]).changed(l_in_mm=l_mm, l_out_mm=l_mm, blend_ms=blend_ms)
-    scalar = np.array(first.to_runtime(station, bench.tool, bench.origin_mm))
+    scalar = np.array(first.to_runtime(station, bench.tool, bench.origin_mm, cut_short=False))
     scalar["level_count"] = len(leg)
     for i, (r, b) in enumerate(leg):
         scalar["triangles"][i], scalar["cell_mm"][i] = bench.grid.triangles[r], bench.grid.cell_mm(r)

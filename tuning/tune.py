@@ -25,7 +25,7 @@ from tuning.search import Found, Limits, Search, disturbance, objective
 from tuning.sensitivity import Optimum, sensitivities, sentence
 from tuning.verify import Verifier
 
-ROUNDS = 3
+ROUNDS = 4
 RESCUES = 4  # further rounds while nothing that was measured holds the budget
 MEASURED = 5  # level counts whose best is measured, the most promising first: all there are
 LEADERS = 2  # level counts that are looked at again when prediction and measurement differ

@@ -55,7 +55,8 @@ class Verifier:
 
         def one(index: int) -> Record:
             motion = self.motions[index]
-            record = replay_levels(levels, config, origin, motion, self.tool, self.station, repeats)
+            # Not cut short: what a configuration costs and feels like is then the same for every budget.
+            record = replay_levels(levels, config, origin, motion, self.tool, self.station, repeats, cut_short=False)
             rows = record.rows.copy()
             used = np.array(record.level_bytes)[rows["level"]]
             rows["cost_ns"] = self.costing.cost_ns(record.rows, used)
