@@ -248,12 +248,12 @@ def command(folder: Path, words: list[str]) -> subprocess.Popen[str]:
     It compiles as it does for users, not as tests do.
     """
     environment = {**os.environ, "COLUMNS": "80", "HAPTICLOD_CACHE": str(folder / "cache"), "XLA_FLAGS": ""}
-    return subprocess.Popen(
-        [sys.executable, "-m", "tuning.cli", *words], cwd=folder, env=environment, text=True, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, preexec_fn=heed_interrupts,
-    )  # fmt: skip
-
-
-def heed_interrupts() -> None:
-    """A shell's background job ignores Ctrl-C, and so would what the tests start in one."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    # A shell's background job ignores Ctrl-C, and so would what the tests start in one: what is ignored is inherited.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-m", "tuning.cli", *words], cwd=folder, env=environment, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -149,8 +149,9 @@ def follow(
     rises with the budget.
     """
     limits = [Limits(budget_us, memory_mb) for budget_us in budgets_us]
-    first = search.best_of_each(counts, limits[len(limits) // 2], seed)
-    known = list(first.items())
+    known: list[tuple[int, Found]] = []
+    for i in sorted({len(limits) // 4, len(limits) // 2, 3 * len(limits) // 4}):
+        known += list(search.best_of_each(counts, limits[i], seed).items())
     for levels in counts:
         known += [(levels, search.look(x, levels, limits[0])) for x in space.sample(LOOKS, levels, seed + levels)]
     known = [(levels, found) for levels, found in known if np.isfinite(found.objective)]
