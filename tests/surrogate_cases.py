@@ -46,7 +46,7 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
     perception = load_perception()
     cost_ns = np.exp(random.normal(size=(RUNGS, SUBSETS, TICKS)) * 0.7) * 3e4 / coarse**0.5
     samples = np.log(window_samples(cost_ns, TICKS_PER_BIN * BINS_PER_WINDOW))
-    entries = np.log(np.sort(cost_ns[..., : len(SWITCH_SHARES)] * 2, axis=-1))
+    entries = np.log(np.sort(cost_ns[..., : len(SWITCH_SHARES)] * 2, axis=-1))[..., None] + np.array([0.0, 0.7])
     cell_edges = np.array([1.5, 4.0, 10.0])
     instants = Instants(
         offset_n=jnp.asarray(random.normal(size=(RUNGS, SUBSETS, INSTANTS, 3)) * 0.1 * coarse[..., None]),
@@ -69,6 +69,8 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
         tail_share=curves(np.clip((samples - 10) / 2, 0, 1)),
         switch=curves(entries),
         free_switch=curves(entries - 1.0),
+        log_reach=jnp.log(jnp.array([0.2, 2.0])),
+        contact=jnp.asarray(random.uniform(0.3, 1.0, BINS)),
         cells=cell_factors(cell_edges, random.uniform(0, 0.6, (RUNGS, SUBSETS, CELLS, 2))),
         sizes=jnp.asarray(group_sizes(TICKS_PER_BIN * BINS_PER_WINDOW), dtype=float),
         spread=jnp.asarray(0.02),
@@ -81,6 +83,7 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
         log_edge_mm=jnp.asarray(0.5 * coarseness - 1),
         velocity_mm_s=jnp.asarray(np.stack([speed * np.cos(heading), speed * np.sin(heading), 0 * speed], axis=1)),
         starts=jnp.asarray(starts),
+        felt_bins=jnp.arange(BINS),
         cycle=jnp.asarray(np.repeat(np.arange(BINS // 20) % 4, 20)),
         feel=feel,
         instants=instants,

@@ -30,13 +30,15 @@ class LadderData:
     """Everything that replays gave, in numpy; what is cached between runs.
 
     Attributes:
-        grid, clock: where and when.
+        grid, clock: where and when. `felt_clock`: the part of each motion, from its beginning, that shows the feel.
         fields: by name (R, B, ...), of `tuning.level_fields.level_fields`.
-        cost_ns: (R, B, T) of a tick, on the station, interrupts taken out.
-        reference: of the finest level.
-        tour: of switches.
-        switch_ns, free_switch_ns: (R, B, M) cost of ticks that enter a level, on the station, in contact and out of it:
-            one value for each of the shares `hapticlod.surrogate.cost.SWITCH_SHARES`, cheapest first.
+        velocity_mm_s, contact: (T, 3) and (T,) of the hand, and whether the finest level touches.
+        cost_ns: (R, B, T) of a tick, on the station, by its counters. `cost_spread`: what time adds to that, in ln.
+        reference: of the finest level, over the feel's part.
+        tour: of switches, over the feel's part.
+        switch_ns, free_switch_ns: (R, B, M, 2) cost of ticks that enter a level, on the station, in contact and out of
+            it: one value for each of the shares `hapticlod.surrogate.cost.SWITCH_SHARES`, cheapest first.
+        reach_mm: the two mapping lengths that this was measured with.
         cell_rungs: rungs whose other cell sizes were sampled.
         cell_cost: (S, B, H, 2) mean cost, and mean cost of the dearest ticks, by cell size, at these rungs.
         level_bytes: (R,) with the replays' cells; cell_bytes: (S, H).
@@ -44,12 +46,17 @@ class LadderData:
 
     grid: Grid
     clock: Clock
+    felt_clock: Clock
     fields: dict[str, Array]
+    velocity_mm_s: Array
+    contact: NDArray[np.bool_]
     cost_ns: Array
+    cost_spread: float
     reference: Reference
     tour: Tour
     switch_ns: Array
     free_switch_ns: Array
+    reach_mm: tuple[float, float]
     cell_rungs: tuple[int, ...]
     cell_cost: Array
     level_bytes: Array
@@ -64,7 +71,7 @@ def dearest_mean(cost: Array) -> tuple[float, float]:
 
 def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderMeasurement:
     """The surrogate's arrays. Lays no file, starts no replay."""
-    grid, clock, reference = data.grid, data.clock, data.reference
+    grid, clock, felt, reference = data.grid, data.clock, data.felt_clock, data.reference
     coarseness = np.log(grid.triangles[0] / np.array(grid.triangles, dtype=np.float64))
     thinness = np.log(grid.balls[0] / np.array(grid.balls, dtype=np.float64))
 
@@ -72,7 +79,7 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
         return ladder_curves(coarseness, values)
 
     feel = Feel(**{name: curves(data.fields[name]) for name in Feel.__dataclass_fields__})
-    cycle = clock.binned(reference.cycle)[:, -1]
+    cycle = felt.binned(reference.cycle)[:, -1]
     tick_s = 1.0 / clock.loop_hz
     log_bytes = np.log(data.level_bytes)[:, None, None] + _cell_bytes(data)[:, None, :]
     return LadderMeasurement(
@@ -81,8 +88,9 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
         log_finest=jnp.asarray(np.log(float(grid.triangles[0]))),
         log_all_balls=jnp.asarray(np.log(float(grid.balls[0]))),
         log_edge_mm=jnp.asarray(np.log(np.array(grid.edge_mm))),
-        velocity_mm_s=jnp.asarray(reference.velocity_mm_s),
+        velocity_mm_s=jnp.asarray(data.velocity_mm_s),
         starts=jnp.asarray(clock.marks(1)),
+        felt_bins=jnp.asarray(_felt_bins(clock, felt)),
         cycle=jnp.asarray(cycle),
         feel=feel,
         instants=_instants(data, stiffness_n_mm),
@@ -98,7 +106,7 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
 
 
 def _instants(data: LadderData, stiffness_n_mm: float) -> Instants:
-    clock, reference = data.clock, data.reference
+    clock, reference = data.felt_clock, data.reference
     per = clock.ticks_per_instant
     at = np.arange(per - 1, clock.ticks, per)
 
@@ -125,6 +133,13 @@ def _instants(data: LadderData, stiffness_n_mm: float) -> Instants:
     )
 
 
+def _felt_bins(clock: Clock, felt: Clock) -> NDArray[np.intp]:
+    """(n,) bins of the feel's part among all: the first of every motion."""
+    per = clock.ticks_per_bin
+    first = np.array(clock.starts_tick) // per
+    return np.concatenate([at + np.arange(ticks // per) for at, ticks in zip(first, felt.motion_ticks, strict=True)])
+
+
 def _without_strays(gap_mm: Array, touching: NDArray[np.bool_]) -> Array:
     """Gaps clipped to three times a rung's 98th percentile: a tour that lost its way says nothing of surfaces."""
     if not touching.any():
@@ -147,9 +162,11 @@ def _cost_model(data: LadderData, curves) -> CostModel:
         tail_share=curves(share),
         switch=curves(np.log(np.maximum(data.switch_ns, 1.0))),
         free_switch=curves(np.log(np.maximum(data.free_switch_ns, 1.0))),
+        log_reach=jnp.log(jnp.array(data.reach_mm)),
         cells=cell_factors(np.array(data.grid.cell_edges), _along_rungs(data, factors)),
+        contact=jnp.asarray(clock.binned(data.contact.astype(np.float64)).mean(axis=1)),
         sizes=jnp.asarray(group_sizes(window), dtype=samples.dtype),
-        spread=jnp.asarray(_LEAST_SPREAD),
+        spread=jnp.asarray(max(data.cost_spread, _LEAST_SPREAD)),
     )
 
 

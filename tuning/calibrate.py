@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ _SCALE = 0.5  # relative error beyond which a tick counts little
 _FLOOR_NS = 200.0  # below this a tick's time is mostly the clock's
 _MOST_TICKS = 40_000
 _CACHE_MB = 32.0
+_CURVE_STEP, _FEWEST_ON_CURVE = 0.5 * np.log(2.0), 20
 
 
 def calibrate(
@@ -119,6 +121,50 @@ def counted_cost_ns(rows: NDArray, level_bytes: int | Array, coefficients: CostC
     """(T,) cost of ticks by their counters alone."""
     counters = {name: rows[name].astype(np.float64) for name in COUNTERS}
     return np.asarray(coefficients.tick_cost_ns(**counters, level_bytes=level_bytes))
+
+
+@dataclass(frozen=True)
+class PriceCurve:
+    """What counters alone get wrong by the size of a tick: ln(time / counted) along ln counted, flat beyond its ends.
+
+    One price per counted thing holds on average only: a tick of many iterations asks more of each test than one that
+    rests. `log_ns`, `log_ratio`: (n,).
+    """
+
+    log_ns: Array
+    log_ratio: Array
+
+    def factor(self, counted_ns: Array) -> Array:
+        """What a counted cost must be multiplied by."""
+        return np.exp(np.interp(np.log(np.maximum(counted_ns, 1.0)), self.log_ns, self.log_ratio))
+
+
+NO_CURVE = PriceCurve(np.zeros(1), np.zeros(1))
+
+
+def price_curve(time_ns: Array, counted_ns: Array) -> PriceCurve:
+    """Medians per half octave; those of few ticks are left out."""
+    log = np.log(np.maximum(counted_ns, 1.0))
+    ratio = np.log(np.maximum(time_ns, 1.0)) - log
+    place = np.floor(log / _CURVE_STEP).astype(int)
+    order = np.argsort(place, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(place[order])) + 1)
+    knots = [(np.median(log[g]), np.median(ratio[g])) for g in groups if len(g) >= _FEWEST_ON_CURVE]
+    if not knots:
+        return PriceCurve(np.zeros(1), np.array([np.median(ratio) if len(ratio) else 0.0]))
+    return PriceCurve(*np.array(knots).T)
+
+
+def residual_spread(rows: Sequence[NDArray], counted_ns: Sequence[Array]) -> float:
+    """Scale of the logistic distribution of ln(time / counted cost) among the dearest tenth of ticks.
+
+    Args:
+        rows: timed, the least of several runs each. counted_ns: by their counters.
+    """
+    counted = np.concatenate(counted_ns)
+    log = np.log(np.maximum(np.concatenate([r["cost_ns"] for r in rows]), 1.0) / np.maximum(counted, 1.0))
+    low, high = np.quantile(log[counted >= np.quantile(counted, 0.9)], (0.25, 0.75))
+    return float(high - low) / (2.0 * np.log(3.0))
 
 
 def without_interrupts(rows: NDArray, counted_ns: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -112,10 +113,10 @@ class Clock:
         return motion.part(0.0, self.motion_ticks[index] / self.loop_hz)
 
 
-def make_clock(motions: Sequence[Motion]) -> Clock:
-    """Bins of about 8 ms, at least one tick."""
+def make_clock(motions: Sequence[Motion], most_s: float = math.inf) -> Clock:
+    """Bins of about 8 ms, at least one tick; of every motion at most so many seconds."""
     loop_hz = motions[0].loop_hz
     per_bin = max(1, round(BIN_S * loop_hz))
     window = per_bin * BINS_PER_WINDOW
-    ticks = tuple(motion.ticks // window * window for motion in motions)
+    ticks = tuple(int(min(motion.ticks, most_s * loop_hz)) // window * window for motion in motions)
     return Clock(loop_hz=loop_hz, motion_ticks=ticks, ticks_per_bin=per_bin)

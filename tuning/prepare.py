@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 
 import jax
 import numpy as np
@@ -20,17 +22,20 @@ from hapticlod.tool import Tool
 from tuning import kept
 from tuning.assemble import LadderData, assemble
 from tuning.grid import Grid, make_clock, make_grid
-from tuning.replays import Bench, replay_fixed
+from tuning.replays import MOST_RUNTIME_LEVELS, Bench, replay_fixed
 from tuning.sample import Costing, sample_ladder, threads
 from tuning.space import Space
 
 Progress = Callable[[str, float], None]
 
 # Seconds per mode of the surrogate's motions, and of those kept apart: the most that replays can afford, see _seconds.
-SEEN_S = (12.0, 6.0, 4.0, 2.5)
-APART_S = (12.0, 8.0, 6.0, 3.0)
-SEEN_REPLAY_S, APART_REPLAY_S = 12.0, 2.5
-REPEATS = 2
+SEEN_S = (24.0, 18.0, 12.0, 8.0, 6.0, 4.0, 2.5)
+APART_S = (24.0, 18.0, 12.0, 8.0, 6.0, 3.0)
+# Of the surrogate's motions, the part that shows the feel and what switches do.
+FELT_S = (12.0, 6.0, 4.0, 2.5)
+# What they may cost, s.
+SEEN_REPLAY_S, APART_REPLAY_S, FELT_REPLAY_S = 14.0, 10.0, 6.0
+_SWITCHED = 10.0  # cost of a replay that switches, in replays that stay on a level
 NEAR_MM = 2.0
 _TOUR_MM = 4.0  # a tour's mapping length, in offsets between rungs
 
@@ -133,7 +138,7 @@ def prepare(
     told("build the surrogate", 0.0)
     with jax.enable_x64(True):
         measured = assemble(sampled.data, station.stiffness_n_mm, sampled.space.dwell_ms * 1e-3)
-    costing = Costing(sampled.costing.here, station)
+    costing = replace(sampled.costing, station=station)
     return Prepared(ladder, sampled.seen, sampled.apart, sampled.data, costing, sampled.space, measured, key)
 
 
@@ -144,13 +149,17 @@ def _sampled(
     told("prepare the motions", 0.0)
     grid = make_grid(ladder.rungs, tool)
     bench = Bench(ladder.rungs, scan.centre_mm, tool, station, grid)
-    seen, apart = _halves(scan, station, tool, motions) if motions else _made(scan, bench, station, tool, seed)
-    clock = make_clock(seen)
+    felt_s = math.inf
+    if motions:
+        seen, apart = _halves(scan, station, tool, motions)
+    else:
+        seen, apart, felt_s = _made(scan, bench, station, tool, seed)
+    clock, felt_clock = make_clock(seen), make_clock(seen, felt_s)
     if min(clock.motion_ticks) == 0:
         window_s = clock.ticks_per_bin * clock.bins_per_window / clock.loop_hz
         raise InputError("motions", f"one is shorter than {2 * window_s:.3g} s", "give longer motions")
     offset_mm = max(ladder.rungs[-1].rms_mm, 1e-3 * ladder.rungs[0].mean_edge_mm)
-    data, costing = sample_ladder(bench, seen, clock, perception, _TOUR_MM * offset_mm, REPEATS, told)
+    data, costing = sample_ladder(bench, seen, clock, felt_clock, perception, _TOUR_MM * offset_mm, told)
     if not data.reference.contact.any():
         raise InputError("motions", "never touch the scan", "give motions that do, or none to have some made")
     return _Sampled(tuple(seen), tuple(apart), data, costing, make_space(grid, data, offset_mm))
@@ -171,28 +180,43 @@ def _halves(scan: Scan, station: Station, tool: Tool, given: Sequence[Motion]) -
     return [first for first, _ in halves], [second for _, second in halves]
 
 
-def _made(scan: Scan, bench: Bench, station: Station, tool: Tool, seed: int) -> tuple[list[Motion], list[Motion]]:
-    """Strokes of all modes, as long as this tool lets replays be."""
+def _made(
+    scan: Scan, bench: Bench, station: Station, tool: Tool, seed: int
+) -> tuple[list[Motion], list[Motion], float]:
+    """Strokes of all modes, as long as this tool lets replays be; and how much of them shows the feel, s."""
 
-    def strokes(first_seed: int, seconds: float) -> list[Motion]:
-        return [
-            synthesise(
-                scan, mode, seconds=seconds, loop_hz=station.loop_hz, seed=first_seed + i, tool=tool,
-                stiffness_n_mm=station.stiffness_n_mm, max_force_n=station.max_force_n, encoder_mm=station.encoder_mm,
-            )
-            for i, mode in enumerate(MODES)
-        ]  # fmt: skip
+    def stroke(task: tuple[int, float]) -> Motion:
+        number, seconds = task
+        return synthesise(
+            scan, MODES[number % len(MODES)], seconds=seconds, loop_hz=station.loop_hz, seed=1000 * seed + number,
+            tool=tool, stiffness_n_mm=station.stiffness_n_mm, max_force_n=station.max_force_n,
+            encoder_mm=station.encoder_mm,
+        )  # fmt: skip
 
-    pilot = strokes(1000 * seed + 900, 1.0)
-    level = bench.level(0)
-    begun = time.monotonic()
-    replay_fixed(bench, level, 0, tool.balls, pilot, 1)
-    per_s = (time.monotonic() - begun) / len(pilot) * len(MODES)  # of replay, for one second of each mode
+    def strokes(first: int, seconds: float) -> list[tuple[int, float]]:
+        return [(first + mode, seconds) for mode in range(len(MODES))]
+
+    # For one second of each mode, in processor time: what other programs do meanwhile must not shorten the motions.
+    pilot = [stroke(task) for task in strokes(900, 1.0)]
+    begun = time.thread_time()
+    stroke((904, 1.0 * len(MODES)))  # the surface is made by now
+    made_s = time.thread_time() - begun
     rungs, subsets = bench.grid.shape
-    ladder_runs = rungs * REPEATS * (1.0 if subsets == 1 else 1.4) + 6.0
-    seen_s = _seconds(SEEN_S, per_s * ladder_runs / threads(), SEEN_REPLAY_S)
-    apart_s = _seconds(APART_S, per_s / threads(), APART_REPLAY_S)
-    return strokes(1000 * seed, seen_s), strokes(1000 * seed + 500, apart_s)
+    spent_s: list[float] = []
+    for rung in (0, rungs // 2):
+        level = bench.level(rung)
+        for balls in (bench.grid.balls[0], bench.grid.balls[-1]):
+            begun = time.thread_time()
+            replay_fixed(bench, level, rung, balls, pilot, 1)
+            spent_s.append(time.thread_time() - begun)
+    mean_s = sum(spent_s) / len(spent_s)
+    legs = -(-rungs * subsets // MOST_RUNTIME_LEVELS)
+    seen_s = _seconds(SEEN_S, (made_s + mean_s * rungs * subsets) / threads(), SEEN_REPLAY_S)
+    apart_s = _seconds(APART_S, (made_s + spent_s[0]) / threads(), APART_REPLAY_S)
+    felt_s = _seconds(FELT_S, mean_s * legs * _SWITCHED / threads(), FELT_REPLAY_S)
+    with ThreadPoolExecutor(threads()) as pool:
+        made = list(pool.map(stroke, strokes(0, seen_s) + strokes(500, apart_s)))
+    return made[: len(MODES)], made[len(MODES) :], felt_s
 
 
 def _seconds(choices: Sequence[float], cost_per_s: float, most: float) -> float:

@@ -20,7 +20,6 @@ from tuning.replays import MOST_RUNTIME_LEVELS, Bench, run, unreached_levels
 
 # Long enough that a switch solves for the old place too, as every switch that is blended does.
 _BLEND_MS = 20.0
-_REPEATS = 2
 
 Entries = dict[tuple[int, int], NDArray]
 
@@ -76,7 +75,7 @@ def _entered(renderer: Any, motion: Motion, clock: Clock, count: int) -> tuple[l
     up = np.arange(count)
     wave = np.concatenate([up, up[-2:0:-1]])
     turn = np.arange(motion.ticks) // clock.ticks_per_instant
-    rows = run(renderer, motion, _REPEATS, wave[turn % len(wave)].astype(np.uint32))
+    rows = run(renderer, motion, 1, wave[turn % len(wave)].astype(np.uint32))
     at = np.flatnonzero(np.diff(rows["level"].astype(np.int64))) + 1
     touched = (rows["contact"][at] | rows["contact"][at - 1]) == 1
     entered = rows["level"][at]

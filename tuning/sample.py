@@ -15,7 +15,15 @@ from hapticlod.perception import Perception
 from hapticlod.station import CostCoefficients, Station
 from hapticlod.surrogate.cost import SWITCH_SHARES
 from tuning.assemble import LadderData, cell_rungs, dearest_mean, entry_costs
-from tuning.calibrate import calibrate, counted_cost_ns, without_interrupts
+from tuning.calibrate import (
+    NO_CURVE,
+    PriceCurve,
+    calibrate,
+    counted_cost_ns,
+    price_curve,
+    residual_spread,
+    without_interrupts,
+)
 from tuning.grid import Clock
 from tuning.level_fields import level_fields, make_reference
 from tuning.relay import relay_ladder
@@ -24,6 +32,10 @@ from tuning.replays import Bench, replay_fixed, tour_ladder
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
+# Mapping lengths that switches are priced with, in the tour's.
+_REACHES = (0.5, 4.0)
+# Every so many rungs are timed with repeats, on so many ticks per motion: what tells counted cost from other programs.
+_TIMED_RUNGS, _TIMED_TICKS, _TIMED_REPEATS = 4, 480, 3
 # Ticks per motion on which other cell sizes are timed, and those before them that put the tool in its place.
 _CELL_TICKS, _SETTLING_TICKS = 480, 32
 
@@ -37,21 +49,25 @@ def threads() -> int:
 class Costing:
     """How this machine's time becomes the station's.
 
-    `here` are this machine's coefficients. A station with coefficients of its own is taken to do the same counted
-    work at its own prices; what nobody counts is taken to cost in proportion. `slowdown` multiplies everything.
+    `here` are this machine's coefficients, `curve` what they get wrong by the size of a tick. A station with
+    coefficients of its own is taken to do the same counted work at its own prices; what nobody counts is taken to cost
+    in proportion. `slowdown` multiplies everything.
     """
 
     here: CostCoefficients
     station: Station
+    curve: PriceCurve = NO_CURVE
 
     def counted_ns(self, rows: NDArray, level_bytes: int | Array) -> Array:
         """(T,) cost on the station by counters alone: the same whenever it is asked for."""
-        return counted_cost_ns(rows, level_bytes, self.station.cost or self.here) * self.station.slowdown
+        here = counted_cost_ns(rows, level_bytes, self.here)
+        there = here if self.station.cost is None else counted_cost_ns(rows, level_bytes, self.station.cost)
+        return there * self.curve.factor(here) * self.station.slowdown
 
     def cost_ns(self, rows: NDArray, level_bytes: int | Array) -> Array:
         """(T,) cost on the station, interrupts taken out."""
         counted = counted_cost_ns(rows, level_bytes, self.here)
-        cost = without_interrupts(rows, counted) * self.station.slowdown
+        cost = without_interrupts(rows, counted * self.curve.factor(counted)) * self.station.slowdown
         if self.station.cost is None:
             return cost
         return cost * counted_cost_ns(rows, level_bytes, self.station.cost) / np.maximum(counted, 1.0)
@@ -61,27 +77,36 @@ def sample_ladder(
     bench: Bench,
     motions: Sequence[Motion],
     clock: Clock,
+    felt_clock: Clock,
     perception: Perception,
     l_mm: float,
-    repeats: int,
     progress: Progress,
 ) -> tuple[LadderData, Costing]:
-    """Replays everything. Motions are at the clock's rate and at least as long."""
+    """Replays everything. Motions are at the clock's rate and at least as long.
+
+    A tick that decides the cost's tail is rare: time goes into ticks, each replayed once and priced by its counters.
+    `felt_clock`, the first part of each motion, is enough for the feel and for switches.
+    """
     grid, station = bench.grid, bench.station
     rungs, subsets = grid.shape
-    cut = [clock.cut(motion, i) for i, motion in enumerate(motions)]
+    whole = [clock.cut(motion, i) for i, motion in enumerate(motions)]
+    cut = [felt_clock.cut(motion, i) for i, motion in enumerate(motions)]
+
+    def felt(rows: Sequence[NDArray]) -> list[NDArray]:
+        return [part[:ticks] for part, ticks in zip(rows, felt_clock.motion_ticks, strict=True)]
+
     with ThreadPoolExecutor(threads()) as pool:
         levels = list(pool.map(bench.level, range(rungs)))
     level_bytes = np.array([level.bytes for level in levels], dtype=np.float64)
 
     progress("replay the ladder", 0.0)
-    first = replay_fixed(bench, levels[0], 0, grid.balls[0], cut, repeats)
-    reference = make_reference(first, clock.loop_hz, perception)
+    first = replay_fixed(bench, levels[0], 0, grid.balls[0], whole, 1)
+    reference = make_reference(felt(first), clock.loop_hz, perception)
 
     def one(place: tuple[int, int]) -> tuple[dict[str, Array], NDArray]:
         r, b = place
-        rows = first if place == (0, 0) else replay_fixed(bench, levels[r], r, grid.balls[b], cut, repeats)
-        return level_fields(rows, reference, clock), np.concatenate(rows)
+        rows = first if place == (0, 0) else replay_fixed(bench, levels[r], r, grid.balls[b], whole, 1)
+        return level_fields(felt(rows), reference, felt_clock), np.concatenate(rows)
 
     places = [(r, b) for b in range(subsets) for r in range(rungs)]
     fields: dict[str, Array] = {}
@@ -95,32 +120,46 @@ def sample_ladder(
 
     progress("switch between levels", 0.0)
     tour = tour_ladder(
-        bench, levels, cut, first, clock, l_mm, threads(), lambda done: progress("switch between levels", 0.5 * done)
-    )
-    entered, touched = relay_ladder(
-        bench, levels, cut, clock, l_mm, threads(), lambda done: progress("switch between levels", 0.5 + 0.5 * done)
-    )
+        bench, levels, cut, felt(first), felt_clock, l_mm, threads(),
+        lambda done: progress("switch between levels", 0.5 * done),
+    )  # fmt: skip
+    reach_mm = (_REACHES[0] * l_mm, _REACHES[1] * l_mm)
+    relays = [
+        relay_ladder(
+            bench, levels, cut, felt_clock, reach, threads(),
+            lambda done, i=i: progress("switch between levels", 0.5 + 0.25 * (i + done)),
+        )
+        for i, reach in enumerate(reach_mm)
+    ]  # fmt: skip
+    entered = [(r, rows) for entries, _ in relays for (r, _), rows in entries.items() if len(rows)]
     chosen = tuple(cell_rungs(grid))
     swept, cell_bytes = _sweep_cells(bench, levels, chosen, cut, progress)
 
     # Prices of cells and triangles show where cell sizes differ, those of mappings where levels are entered.
-    timed = [(rows, int(level_bytes[r])) for (r, _), rows in kept.items()]
-    once = [(rows, int(cell_bytes[s, h])) for (s, _, h), rows in swept.items()]
-    once += [(_counters_only(rows), int(level_bytes[r])) for (r, _), rows in entered.items() if len(rows)]
+    timed = _timed(bench, levels, cut)
+    once = [(rows, int(level_bytes[r])) for (r, _), rows in kept.items()]
+    once += [(rows, int(cell_bytes[s, h])) for (s, _, h), rows in swept.items()]
+    entering = [(_counters_only(rows), int(level_bytes[r])) for r, rows in entered]
+    once += entering
     both = timed + once
     here = calibrate([rows for rows, _ in both], [size for _, size in both], repeated=len(timed))
-    costing = Costing(here, station)
+    costing = Costing(here, station, _curve([(rows, int(level_bytes[r])) for (r, _), rows in kept.items()], here))
+    enter = Costing(here, station, _curve(entering, here) if entering else NO_CURVE)
     cost = np.zeros((*grid.shape, clock.ticks))
     for (r, b), rows in kept.items():
-        cost[r, b] = costing.cost_ns(rows, int(level_bytes[r]))
-    switch = np.zeros((2, *grid.shape, len(SWITCH_SHARES)))
-    for place, rows in entered.items():
-        priced = costing.cost_ns(rows, int(level_bytes[place[0]])) if len(rows) else np.zeros(0)
-        switch[:, *place] = entry_costs(priced, touched[place], cost[place])
+        cost[r, b] = costing.counted_ns(rows, int(level_bytes[r]))
+    switch = np.zeros((2, *grid.shape, len(SWITCH_SHARES), len(reach_mm)))
+    for i, (entries, touched) in enumerate(relays):
+        for place, rows in entries.items():
+            priced = enter.counted_ns(rows, int(level_bytes[place[0]])) if len(rows) else np.zeros(0)
+            switch[:, *place, :, i] = np.stack(entry_costs(priced, touched[place], cost[place]))
 
     data = LadderData(
-        grid=grid, clock=clock, fields=fields, cost_ns=cost, reference=reference, tour=tour,
-        switch_ns=switch[0], free_switch_ns=switch[1], cell_rungs=chosen,
+        grid=grid, clock=clock, felt_clock=felt_clock, fields=fields, velocity_mm_s=_velocity_mm_s(whole),
+        contact=np.concatenate([rows["contact"] == 1 for rows in first]), cost_ns=cost,
+        cost_spread=residual_spread([rows for rows, _ in timed], [costing.counted_ns(*one) for one in timed]),
+        reference=reference, tour=tour,
+        switch_ns=switch[0], free_switch_ns=switch[1], reach_mm=reach_mm, cell_rungs=chosen,
         cell_cost=_cell_cost(bench, swept, cell_bytes, costing), level_bytes=level_bytes, cell_bytes=cell_bytes,
     )  # fmt: skip
     return data, costing
@@ -132,6 +171,27 @@ def _counters_only(rows: NDArray) -> NDArray:
     for name in names:
         out[name] = rows[name]
     return out
+
+
+def _curve(records: Sequence[tuple[NDArray, int]], here: CostCoefficients) -> PriceCurve:
+    counted = [counted_cost_ns(rows, size, here) for rows, size in records]
+    return price_curve(np.concatenate([rows["cost_ns"] for rows, _ in records]), np.concatenate(counted))
+
+
+def _velocity_mm_s(motions: Sequence[Motion]) -> Array:
+    places = [motion.position_mm for motion in motions]
+    return np.concatenate([np.diff(at, axis=0, prepend=at[:1]) for at in places]) * motions[0].loop_hz
+
+
+def _timed(bench: Bench, levels: Sequence, motions: Sequence[Motion]) -> list[tuple[NDArray, int]]:
+    """Rows and bytes of the level of a few replays, one after the other: a tick's time is its least of several runs."""
+    parts = [_middle(motion, _SETTLING_TICKS + _TIMED_TICKS) for motion in motions]
+    made = []
+    for r in range(0, len(levels), _TIMED_RUNGS):
+        for b in _swept_subsets(bench):
+            replays = replay_fixed(bench, levels[r], r, bench.grid.balls[b], parts, _TIMED_REPEATS)
+            made.append((_counters_only(np.concatenate([rows[_SETTLING_TICKS:] for rows in replays])), levels[r].bytes))
+    return made
 
 
 def _sweep_cells(

@@ -81,10 +81,11 @@ class CostModel(eqx.Module):
 
     - `samples`: ln ns, trailing shape (windows, samples), dearest first within a window.
     - `tail_share`: trailing shape as `samples`: 0 where a sample belongs to its rung's body, 1 in its tail.
-    - `switch`: ln ns of ticks that change the level in contact, by the level entered, trailing shape (M,): one sample
-      for each of `SWITCH_SHARES`.
+    - `switch`: ln ns of ticks that change the level in contact, by the level entered, trailing shape (M, 2): one sample
+      for each of `SWITCH_SHARES`, at either of two mapping lengths. `log_reach`: (2,) ln of these lengths, mm.
     - `free_switch`: the same without contact.
     - `cells`: dependence on cell size.
+    - `contact`: (m,) share of a bin's ticks in which the reference is in contact, of all bins that were priced.
     - `sizes`: (samples,) ticks that a sample stands for.
     - `spread`: width, in ln cost, that smooths quantiles: what a cost varies by for no counted reason.
     """
@@ -93,7 +94,9 @@ class CostModel(eqx.Module):
     tail_share: LadderCurves
     switch: LadderCurves
     free_switch: LadderCurves
+    log_reach: Float[Array, " 2"]
     cells: CellFactors
+    contact: Float[Array, " m"]
     sizes: Float[Array, " S"]
     spread: Float[Array, ""]
 
@@ -126,9 +129,12 @@ def tick_costs(
     places: Places,
     log_cell_edges: Float[Array, " K"],
     switching: Switching,
-    contact: Float[Array, " bins"],
+    log_reach: Float[Array, ""],
 ) -> tuple[TickCosts, Float[Array, "K windows samples"], Float[Array, "K windows"]]:
-    """The mixture over levels and switches; also each level's samples (ln ns) and its weight in every window."""
+    """The mixture over levels and switches; also each level's samples (ln ns) and its weight in every window.
+
+    `log_reach` is ln of the longer mapping length.
+    """
     share = jnp.clip(model.tail_share.levels(places), 0.0, 1.0)
     factors = model.cells.levels(places, log_cell_edges)
     body, tail = factors[:, 0, None, None], factors[:, 1, None, None]
@@ -139,10 +145,13 @@ def tick_costs(
     # A switch's tick replaces an ordinary one; the difference of one in hundreds is left out.
     none = jnp.zeros_like(switching.up[:1])
     entering = jnp.concatenate([none, switching.up]) + jnp.concatenate([switching.down, none])
-    in_contact, free = jnp.sum(entering * contact, axis=1), jnp.sum(entering * (1 - contact), axis=1)
+    in_contact = jnp.sum(entering * model.contact, axis=1)
+    free = jnp.sum(entering * (1 - model.contact), axis=1)
     parts, counts = [log_ns.reshape(-1)], [shares.reshape(-1)]
+    # The further a mapping looks, the more it meets.
+    far = jnp.clip((log_reach - model.log_reach[0]) / (model.log_reach[1] - model.log_reach[0]), 0.0, 1.0)
     for curves, flow in ((model.switch, in_contact), (model.free_switch, free)):
-        events = curves.levels(places) + factors[:, 1:]
+        events = curves.levels(places) @ jnp.stack([1 - far, far]) + factors[:, 1:]
         parts.append(events.reshape(-1))
         counts.append((flow[:, None] * jnp.array(SWITCH_SHARES, dtype=flow.dtype)).reshape(-1))
     return TickCosts(jnp.concatenate(parts), jnp.concatenate(counts)), log_ns, weights

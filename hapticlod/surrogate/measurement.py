@@ -1,8 +1,9 @@
 """What replays of a ladder gave, as arrays: everything the surrogate knows about a scan, a tool, a hand and a station.
 
 Time is kept at three rates. Ticks: velocity, for filter and triggers. Bins of a few ticks: what levels do to the feel
-(means within a bin). Instants, every few bins: what a switch would do there. Axes: R rungs (finest first), B
-ball subsets (all balls first), T ticks, n bins, I instants.
+(means within a bin). Instants, every few bins: what a switch would do there. Costs need many more ticks than the feel
+does, since rare ones decide: ticks and costs run over all motions, the feel over a part of each. Axes: R rungs (finest
+first), B ball subsets (all balls first), T ticks, m bins of all motions, n bins and I instants of the feel's part.
 """
 
 from __future__ import annotations
@@ -83,6 +84,7 @@ class LadderMeasurement(eqx.Module):
     - `log_edge_mm`: (R,) ln mean edge.
     - `velocity_mm_s`: (T, 3) raw.
     - `starts`: (T,) ticks that begin a motion.
+    - `felt_bins`: (n,) the feel's bins among all.
     - `cycle`: (n,) contact cycle of the reference that a bin belongs to; 0: none, or one that is not complete.
     - `cycles`: how many there are, 0 among them.
     - `log_bytes`: curves with trailing shape (H,): ln bytes of a level by cell size; `log_cell_edges`: (H,).
@@ -96,6 +98,7 @@ class LadderMeasurement(eqx.Module):
     log_edge_mm: Float[Array, " R"]
     velocity_mm_s: Float[Array, "T 3"]
     starts: Bool[Array, " T"]
+    felt_bins: Int[Array, " n"]
     cycle: Int[Array, " n"]
     feel: Feel
     instants: Instants
@@ -114,9 +117,19 @@ class LadderMeasurement(eqx.Module):
         return self.velocity_mm_s.shape[0]
 
     @property
+    def ticks_per_bin(self) -> int:
+        """T / m."""
+        return self.ticks // self.cost.contact.shape[0]
+
+    @property
     def bins(self) -> int:
         """n."""
         return self.cycle.shape[0]
+
+    @property
+    def felt_seconds(self) -> float:
+        """Duration of the feel's part."""
+        return self.bins * self.ticks_per_bin * self.tick_s
 
     @property
     def seconds(self) -> float:

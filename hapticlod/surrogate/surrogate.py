@@ -90,15 +90,19 @@ def predict_members(
     switching = soft_switching(
         speed, measured.starts, parameters.reachable_log_speeds, parameters.hysteresis, sharpness, measured.dwell_ticks
     )
-    ticks_per_bin = measured.ticks // measured.bins
+    ticks_per_bin = measured.ticks_per_bin
     bins_per_instant = measured.bins // instants.contact.shape[0]
     per_instant = ticks_per_bin * bins_per_instant
 
     def grouped(x: Float[Array, "*s n"], size: int) -> Float[Array, "*s m"]:
         return x.reshape(*x.shape[:-1], -1, size).sum(axis=-1)
 
-    weights = grouped(switching.weights, ticks_per_bin) / ticks_per_bin
-    up, down = grouped(switching.up, ticks_per_bin), grouped(switching.down, ticks_per_bin)
+    all_bins = Switching(
+        grouped(switching.weights, ticks_per_bin) / ticks_per_bin,
+        grouped(switching.up, ticks_per_bin),
+        grouped(switching.down, ticks_per_bin),
+    )
+    weights, up, down = (x[:, measured.felt_bins] for x in (all_bins.weights, all_bins.up, all_bins.down))
 
     def levels(curves: LadderCurves) -> Float[Array, "K n"]:
         return curves.levels(where)
@@ -120,7 +124,8 @@ def predict_members(
     stays = jnp.where(instants.starts, 0.0, jnp.minimum(2 * instants.contact, 1.0))
     lost = affine_scan(stays * (1 - losing), losing)
 
-    feel, hand_mm_s = measured.feel, grouped(speed, per_instant) / per_instant
+    feel = measured.feel
+    hand_mm_s = grouped(grouped(speed, ticks_per_bin)[measured.felt_bins], bins_per_instant) / per_instant
     felt_mix, force_mix = mixed(feel.felt), mixed(feel.force_sq)
     either_mix = mixed(feel.either)
     either = jnp.maximum(total(either_mix), 1.0)
@@ -135,10 +140,8 @@ def predict_members(
     )
     band = total(mixed(feel.band_sq)) + blend_band_square(events, blend_s, measured.perception, tick_s)
 
-    in_contact = jnp.repeat(instants.contact, bins_per_instant)
-    costs, samples, windows = tick_costs(
-        measured.cost, where, parameters.log_cell_edges, Switching(weights, up, down), in_contact
-    )
+    log_reach = jnp.maximum(parameters.log_l_in, parameters.log_l_out)
+    costs, samples, windows = tick_costs(measured.cost, where, parameters.log_cell_edges, all_bins, log_reach)
     spread = measured.cost.spread
     shares = jnp.clip(weights, 0.0, None)
     peaks, depths = levels(feel.peak_n).reshape(-1), levels(feel.depth_mm).reshape(-1)
@@ -148,7 +151,7 @@ def predict_members(
     # Nothing to switch between: a jump of 0, and every mapping that was not tried found the surface.
     switched, some = jnp.maximum(flow, 1e-6), flow / (flow + 1e-3)
     work = jax.ops.segment_sum(mixed(feel.work_mj) * ticks_per_bin, measured.cycle, measured.cycles)[1:]
-    cycles = jax.ops.segment_sum(jnp.ones_like(in_contact), measured.cycle, measured.cycles)[1:]
+    cycles = jax.ops.segment_sum(jnp.ones_like(weights[0]), measured.cycle, measured.cycles)[1:]
     work = jnp.where(cycles > 0, work, -1e3)
     # Widths are the ladder's, not the configuration's: they are not differentiated.
     peak_width = 0.02 * jnp.max(feel.peak_n.nodes[0]) + 1e-4
@@ -187,8 +190,8 @@ def predict_members(
         "facet_vibration_n": jnp.sqrt(jnp.maximum(band, 0.0) / both + 1e-14),
         "switches_per_s": switching.switches / measured.seconds,
         "mapping_hit_rate": 1 - jnp.sum(events.flow * events.lost) / jnp.maximum(tried, 1e-6),
-        "false_release_per_min": (total(mixed(feel.release)) + jnp.sum(losing)) * 60 / measured.seconds,
-        "pop_through_per_min": total(mixed(feel.pop)) * 60 / measured.seconds,
+        "false_release_per_min": (total(mixed(feel.release)) + jnp.sum(losing)) * 60 / measured.felt_seconds,
+        "pop_through_per_min": total(mixed(feel.pop)) * 60 / measured.felt_seconds,
         "penetration_p99_mm": smooth_quantile(depths, touching, 0.99, depth_width),
         "energy_out_mj": jnp.where(jnp.any(cycles > 0), smooth_max(work, 0.02), 0.0),
         "memory_mb": memory_mb(measured, parameters),

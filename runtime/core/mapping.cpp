@@ -9,6 +9,9 @@
 namespace hapticlod {
 namespace {
 
+// An interval asks for two closest points and up to two times of touch: so many of the kernels' tests.
+constexpr std::uint32_t kIntervalTests = 8;
+
 // The stretch of the line p + t n, |t| <= c, on which the tool is too near to the triangle. Empty: from > to.
 Interval blocked(const Triangle& t, const Vec3& p, const Vec3& n, double c, double kept, double precision,
                  double side) {
@@ -49,9 +52,10 @@ bool Mapper::rest_on_line(ContactSolver& solver, const ContactMemory& memory, do
         const double within = std::min(c, granted);
         const Vec3 lo = n * -within, hi = n * within;
         std::size_t count = 0, crossed = 0;
+        counters.tests += candidates.block_count() / 16;  // bounds that are looked at, as in contact.cpp
         for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
             if (candidates.passes_by(i, lo, hi - lo, 0.0)) continue;
-            counters.tests += 8;
+            counters.tests += 8 * kIntervalTests;
             for (std::uint32_t k = 0; k < 8; ++k) {
                 const Triangle t = candidates.triangle(i, k);
                 const Interval v = blocked(t, {}, n, within, balls[candidates.ball(i)].kept, precision, memory.side);

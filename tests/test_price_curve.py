@@ -1,0 +1,47 @@
+"""Costs by size: what one price per counted thing gets wrong; and the part of the motions that shows the feel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hapticlod.layout import RECORD_DTYPE
+from hapticlod.motion import Motion
+from tuning.assemble import _felt_bins
+from tuning.calibrate import NO_CURVE, price_curve, residual_spread
+from tuning.grid import make_clock
+
+
+def test_dear_ticks_get_a_price_of_their_own() -> None:
+    """Time is 1.5 times what is counted for ticks beyond 100 us, with noise and a few interrupts."""
+    random = np.random.default_rng(0)
+    counted = np.exp(random.uniform(np.log(1e3), np.log(1e6), 20_000))
+    time = counted * np.where(counted > 1e5, 1.5, 1.0) * np.exp(0.1 * random.normal(size=len(counted)))
+    time[random.choice(len(time), 400)] *= 30.0
+    curve = price_curve(time, counted)
+    assert np.allclose(curve.factor(np.array([2e3, 2e4, 5e5, 1e9])), [1.0, 1.0, 1.5, 1.5], rtol=0.03)
+
+
+def test_ticks_too_few_to_tell_change_nothing_but_the_mean() -> None:
+    curve = price_curve(np.full(5, 300.0), np.full(5, 200.0))
+    assert np.allclose(curve.factor(np.array([1.0, 1e6])), 1.5)
+    assert np.array_equal(NO_CURVE.factor(np.array([0.0, 7.0])), [1.0, 1.0])
+
+
+def test_the_spread_is_that_of_the_dear_ticks() -> None:
+    random = np.random.default_rng(1)
+    counted = np.exp(random.uniform(0, 5, 40_000)) * 1e3
+    dear = counted >= np.quantile(counted, 0.9)
+    rows = np.zeros(len(counted), RECORD_DTYPE)
+    rows["cost_ns"] = counted * np.exp(np.where(dear, 0.1, 0.7) * random.logistic(size=len(counted)))
+    assert residual_spread([rows], [counted]) == pytest.approx(0.1, rel=0.05)
+
+
+def test_the_feel_is_shown_by_the_first_part_of_every_motion() -> None:
+    motions = [Motion(np.arange(n) * 1e-3, np.zeros((n, 3)), None, 1000.0, "still", {}) for n in (700, 100, 1000)]
+    whole, part = make_clock(motions), make_clock(motions, 0.3)
+    assert whole.motion_ticks == (672, 96, 992) and part.motion_ticks == (288, 96, 288)
+    bins = _felt_bins(whole, part)
+    assert len(bins) == part.bins
+    assert np.array_equal(bins, [*range(36), *range(84, 96), *range(96, 132)])
+    assert np.array_equal(_felt_bins(whole, whole), np.arange(whole.bins))
