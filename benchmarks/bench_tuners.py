@@ -24,7 +24,6 @@ from rich.table import Table
 
 from hapticlod.errors import InputError
 from tuning.cli import run
-from tuning.commands.tune import DEFAULT_STATION, DEFAULT_TOOL
 from tuning.progress import StageProgress
 
 OURS = "ours"
@@ -82,7 +81,7 @@ def bench_tuners_command(
     with tempfile.TemporaryDirectory() as cache:  # ours starts cold
         os.environ["HAPTICLOD_CACHE"] = cache
         with StageProgress(Console(stderr=True, highlight=False)) as told:
-            found = _compared(scan, motions.split(), tool, station, budget_us, evaluations, seconds, unit, seed, told)
+            found = _compared(scan, motions, tool, station, budget_us, evaluations, seconds, unit, seed, told)
     Console(highlight=False).print(_table(found))
     Console(highlight=False).print(_verdict(found), markup=False)
     if json is not None:
@@ -92,24 +91,17 @@ def bench_tuners_command(
 
 
 def _compared(
-    scan: Path, motions: Sequence[str], tool: Path | None, station: Path | None, budget_us: float | None,
+    scan: Path, motions: str, tool: Path | None, station: Path | None, budget_us: float | None,
     evaluations: int, seconds: float, unit: str, seed: int, told: Any,
 ) -> dict[str, Any]:  # fmt: skip
     from benchmarks.black_box import METHODS, Trials
-    from hapticlod.motion import load_motion
+    from benchmarks.inputs import load_inputs
     from hapticlod.scan import load_scan
-    from hapticlod.shipped import shipped_config
-    from hapticlod.station import load_station
-    from hapticlod.tool import load_tool
     from tuning.prepare import prepare
     from tuning.tune import tune
     from tuning.verify import Verifier
 
-    target = load_station(station or shipped_config(DEFAULT_STATION))
-    if budget_us is not None:
-        target = target.adjusted(budget_us=budget_us)
-    held = load_tool(tool or shipped_config(DEFAULT_TOOL))
-    recorded = [motion for path in motions for motion in load_motion(Path(path), target.loop_hz)] or None
+    target, held, recorded = load_inputs(station, tool, motions, budget_us)
     told("load and clean the scan", 0.0)
     cleaned = load_scan(scan, unit)
     began = time.monotonic()
@@ -153,10 +145,11 @@ def _compared(
 def _again(best: Sequence[tuple[Any, float]], verifier: Any, station: Any) -> dict[str, Any]:
     """The first of the best that holds its limits when it is measured again."""
     from tuning.search import objective
+    from tuning.tune import holds
 
     for config, _ in best[:AGAIN]:
         metrics = verifier.measured(config)
-        if metrics["loop_cost_p999_us"] <= station.budget_us and metrics["memory_mb"] <= station.memory_mb:
+        if holds(metrics, station):
             keys = ("loop_cost_p999_us", "felt_error_jnd", "discontinuity_per_s")
             value = float(objective(metrics, station.budget_us))
             return {"again": value, "levels": len(config.levels), **{key: metrics[key] for key in keys}}

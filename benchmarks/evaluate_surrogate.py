@@ -17,7 +17,6 @@ from rich.table import Table
 
 from hapticlod.errors import InputError
 from tuning.cli import run
-from tuning.commands.tune import DEFAULT_STATION, DEFAULT_TOOL
 from tuning.progress import StageProgress
 
 FEWEST_CONFIGS = 5
@@ -57,12 +56,9 @@ def evaluate_command(
     json
         Also write the figures here.
     """
+    from benchmarks.inputs import load_inputs
     from hapticlod.files import write_json
-    from hapticlod.motion import load_motion
     from hapticlod.scan import load_scan
-    from hapticlod.shipped import shipped_config
-    from hapticlod.station import load_station
-    from hapticlod.tool import load_tool
 
     if scan is None:
         raise InputError("SCAN", "no scan was given", "say make evaluate-surrogate SCAN=file")
@@ -70,9 +66,7 @@ def evaluate_command(
         raise InputError("CONFIGS", f"{configs} are too few to rank", f"give at least {FEWEST_CONFIGS}")
     if json is not None and (json.is_dir() or not json.resolve().parent.is_dir()):
         raise InputError(str(json), "cannot be written", "give the name of a file in a folder that exists")
-    target = load_station(station or shipped_config(DEFAULT_STATION))
-    held = load_tool(tool or shipped_config(DEFAULT_TOOL))
-    recorded = [motion for path in motions.split() for motion in load_motion(Path(path), target.loop_hz)]
+    target, held, recorded = load_inputs(station, tool, motions)
     with StageProgress(Console(stderr=True, highlight=False)) as told:
         told("load and clean the scan", 0.0)
         cleaned = load_scan(scan, unit)
@@ -82,7 +76,7 @@ def evaluate_command(
         from tuning.verify import Verifier
 
         keep_compiled()
-        ready = prepare(cleaned, target, held, recorded or None, seed=seed, progress=told)
+        ready = prepare(cleaned, target, held, recorded, seed=seed, progress=told)
         verifier = Verifier(ready.ladder, held, target, ready.apart, ready.costing)
         trials = evaluate(ready, verifier, target, configs, seed, told)
     found = scores(trials)

@@ -27,7 +27,6 @@ from tuning.verify import Verifier
 
 ROUNDS = 4
 RESCUES = 4  # further rounds while nothing that was measured holds the budget
-MEASURED = 5  # level counts whose best is measured, the most promising first: all there are
 LEADERS = 2  # level counts that are looked at again when prediction and measurement differ
 AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
 
@@ -125,7 +124,7 @@ def tune(
     fixed = baseline_configs(ready.ladder, tool)
     for i, config in enumerate(fixed):
         baselines[config.name] = verifier.measured(config)
-        feasible[config.name] = _holds(baselines[config.name], station)
+        feasible[config.name] = holds(baselines[config.name], station)
         stages("measure the baselines", (i + 1) / len(fixed))
     # The finest and the coarsest level alone are candidates like any other.
     for alone in fixed[:2]:
@@ -170,25 +169,23 @@ def _explore(
     search: Search, verifier: Verifier, ready: Prepared, station: Station, counts: Sequence[int], seed: int,
     stages: Stages, judged: Callable[[LodConfig, dict[str, float]], float],
 ) -> list[Candidate]:  # fmt: skip
-    """The most promising level counts, each at its best, measured; then the leaders again, with the surrogate's budget
-    corrected."""
+    """The best of every level count, measured; then the leaders again, with the surrogate's budget corrected."""
     made: list[Candidate] = []
     warm: dict[int, np.ndarray] = {}
 
     def verified(count: int, found: Found, limits: Limits) -> Candidate:
-        stages("verify in the runtime", len(made) / (MEASURED + LEADERS))
+        stages("verify in the runtime", len(made) / (len(counts) + LEADERS))
         warm[count] = found.x
         config = ready.space.config(found.x, count, f"{count} levels")
         metrics = verifier.measured(config)
         value = judged(config, metrics)
         optimum = Optimum(found.x, count, limits)
-        made.append(Candidate(config, found.predicted, metrics, value, _holds(metrics, station), optimum))
+        made.append(Candidate(config, found.predicted, metrics, value, holds(metrics, station), optimum))
         return made[-1]
 
     stages("optimise", 0.0)
     every = search.best_of_each(counts, _limits(station, 1.0), seed)
-    promising = sorted(counts, key=lambda count: every[count].rank)[:MEASURED]
-    latest = {count: verified(count, every[count], _limits(station, 1.0)) for count in sorted(promising)}
+    latest = {count: verified(count, found, _limits(station, 1.0)) for count, found in every.items()}
     used = dict.fromkeys(latest, 1.0)
     for turn in range(1, ROUNDS + RESCUES):
         rescuing = not any(candidate.feasible for candidate in made)
@@ -199,7 +196,7 @@ def _explore(
         # Those that could still win: the best by what was measured, whether or not they held the budget. While none
         # did, those that came nearest to holding it.
         for count in sorted(wrong, key=lambda k: _cost_us(latest[k]) if rescuing else latest[k].objective)[:LEADERS]:
-            stages("optimise", len(made) / (MEASURED + LEADERS))
+            stages("optimise", len(made) / (len(counts) + LEADERS))
             correction = float(corrections[count] or 1.0)
             if not latest[count].feasible:
                 correction = min(correction, 0.7 * used[count])  # what was asked for last time was too much
@@ -228,7 +225,8 @@ def _limits(station: Station, correction: float) -> Limits:
     return Limits(station.budget_us * correction, station.memory_mb)
 
 
-def _holds(metrics: dict[str, float], station: Station) -> bool:
+def holds(metrics: dict[str, float], station: Station) -> bool:
+    """Whether budget and memory hold."""
     return metrics["loop_cost_p999_us"] <= station.budget_us and metrics["memory_mb"] <= station.memory_mb
 
 

@@ -204,7 +204,7 @@ double ContactSolver::sweep(const Vec3& step, std::span<const SolverBall> balls,
 
 // Far enough for a tick or two at this speed: a longer reach gathers more than it saves.
 double ContactSolver::wanted_reach(double motion_mm) const {
-    return std::max(std::min(2.0 * motion_mm, 4.0 * cell_mm_) + 0.15 * mean_edge_mm_, 16.0 * tolerances_.skin);
+    return std::max(std::min(2.0 * motion_mm, 4.0 * cell_mm_) + kRoom * mean_edge_mm_, 16.0 * tolerances_.skin);
 }
 
 // Where x will be in these ticks lies ahead of it: half the reach, about a point ahead, holds as many ticks.

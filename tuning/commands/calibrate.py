@@ -9,9 +9,9 @@ from rich.console import Console
 
 from hapticlod.shipped import shipped_config
 from tuning.commands.outputs import check_writable
+from tuning.commands.tune import DEFAULT_STATION
 from tuning.progress import StageProgress
 
-_DEFAULT_STATION = "stations/desktop_1khz.toml"
 _TOOLS = ("tools/point.toml", "tools/ball_1mm.toml", "tools/ball_3mm.toml", "tools/burr_flame.toml")
 _HELD_OUT = "tools/explorer.toml"
 
@@ -40,7 +40,7 @@ def calibrate_command(
     from hapticlod.toml import save_toml
     from hapticlod.tool import load_tool
 
-    base = load_station(station or shipped_config(_DEFAULT_STATION))
+    base = load_station(station or shipped_config(DEFAULT_STATION))
     # A station file may be calibrated in place: it is read before and replaced as a whole.
     check_writable(output)
     notes = Console(stderr=True, highlight=False)
