@@ -38,6 +38,7 @@ app.command(
 app.command("tuning.commands.check:check_command", name="check", help="Say what is wrong with a scan.")
 app.command("tuning.commands.pareto:pareto_command", name="pareto", help="Show what each budget buys, on one scan.")
 app.command("tuning.commands.inspect:inspect_command", name="inspect", help="Show what a bundle holds.")
+app.command("tuning.commands.key:key_app", name="key", help="Sign bundles, and say whose bundles to trust.")
 
 
 def run(tokens: Sequence[str], program: App = app) -> int:

@@ -16,6 +16,8 @@ constexpr const char* kHelp =
     "      The real-time loop, at the bundle's rate. sim: a simulated hand and device that follow the bundle's golden\n"
     "      motion, or the given one, and feel the force. Without --seconds until Ctrl-C. --virtual-time: simulated\n"
     "      time, repeatable and as fast as it computes. The last line printed is JSON; --json prints nothing else.\n"
+    "      Bundles must be signed by a key of /etc/hapticlod/trusted_keys or ~/.config/hapticlod/trusted_keys.\n"
+    "      --trusted-keys FILE: by one of these. --accept-unsigned: run others too, and mark the report.\n"
     "  replay BUNDLE MOTION.csv OUT.csv\n"
     "      Renders a motion (t_s,x_mm,y_mm,z_mm[,qw,qx,qy,qz]) offline and writes what every tick gave.\n"
     "  inspect BUNDLE [--json]\n"
