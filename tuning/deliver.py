@@ -66,8 +66,12 @@ def as_built(result: TuneResult) -> LodConfig:
     return config.changed(levels=real)
 
 
-def write_tuned(path: Path, result: TuneResult, scan: Scan, station: Station, tool: Tool, seed: int, key: Key | None = None) -> None:
-    """Write the bundle of a tuning run, signed where a key is given. The golden motion is the one, of those kept apart, that shows most levels.
+def write_tuned(
+    path: Path, result: TuneResult, scan: Scan, station: Station, tool: Tool, seed: int, key: Key | None = None
+) -> None:
+    """Write the bundle of a tuning run, signed where a key is given.
+
+    The golden motion is the one, of those kept apart, that shows most levels.
 
     Raises:
         InputError: the file cannot be written.

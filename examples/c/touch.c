@@ -6,7 +6,7 @@
 int main(int count, char** words) {
     hlod_bundle* bundle = NULL;
     hlod_renderer* renderer = NULL;
-    hlod_info info = {sizeof info};
+    hlod_info info = {.struct_bytes = sizeof info};
     char message[256] = "usage: touch BUNDLE TRUSTED_KEYS";
     if (count != 3 || hlod_bundle_open(words[1], &bundle, message, sizeof message) != HLOD_OK ||
         hlod_bundle_trusted(bundle, words[2], message, sizeof message) != HLOD_OK ||

@@ -30,7 +30,8 @@ def inspect_command(bundle: Path, /) -> None:
         out.print(f"{name:<11}{text}", markup=False)
 
     line("bundle", f"{held.path}, {held.file_bytes / 1e6:.1f} MB, {len(held.sections)} sections, all digests match")
-    line("signature", judge_trust(held.signer, [k for path in standard_trust_files() for k in read_trusted_keys(path)])[1])
+    trusted = [key for path in standard_trust_files() for key in read_trusted_keys(path)]
+    line("signature", judge_trust(held.signer, trusted)[1])
     scan = held.manifest.get("scan")
     if isinstance(scan, dict):
         line("scan", f"{scan.get('name')}, {scan.get('triangles')} triangles, from {scan.get('source')}")
