@@ -38,6 +38,8 @@ app.command(
 app.command("tuning.commands.check:check_command", name="check", help="Say what is wrong with a scan.")
 app.command("tuning.commands.pareto:pareto_command", name="pareto", help="Show what each budget buys, on one scan.")
 app.command("tuning.commands.inspect:inspect_command", name="inspect", help="Show what a bundle holds.")
+app.command("tuning.commands.deploy:deploy_command", name="deploy", help="Install a bundle on a station over ssh.")
+app.command("tuning.commands.deploy:pack_command", name="pack", help="The same as one file, without a network.")
 app.command("tuning.commands.key:key_app", name="key", help="Sign bundles, and say whose bundles to trust.")
 
 

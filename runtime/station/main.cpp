@@ -22,6 +22,8 @@ constexpr const char* kHelp =
     "      Renders a motion (t_s,x_mm,y_mm,z_mm[,qw,qx,qy,qz]) offline and writes what every tick gave.\n"
     "  inspect BUNDLE [--json]\n"
     "      Checks a bundle and says what it holds.\n"
+    "  verify BUNDLE [--trusted-keys FILE] [--accept-unsigned]\n"
+    "      Checks a bundle, and whether this station trusts who signed it.\n"
     "  --help, --version\n"
     "\n"
     "Exit status: 0 fine, 1 the safety core stopped the run, 2 bad input.\n";
@@ -30,7 +32,8 @@ struct Command {
     std::string_view name;
     int (*run)(Words);
 };
-constexpr Command kCommands[] = {{"run", command_run}, {"replay", command_replay}, {"inspect", command_inspect}};
+constexpr Command kCommands[] = {
+    {"run", command_run}, {"replay", command_replay}, {"inspect", command_inspect}, {"verify", command_verify}};
 
 }  // namespace
 
@@ -66,5 +69,5 @@ int main(int argc, char** argv) {
     } catch (const std::exception& error) {
         return refuse({"hapticlod-station", std::string("internal error (") + error.what() + ")", "report it"});
     }
-    return refuse({std::string(words[0]), "is no command", "use run, replay or inspect, or see --help"});
+    return refuse({std::string(words[0]), "is no command", "use run, replay, inspect or verify, or see --help"});
 }

@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdlib>
+#include <memory>
 
 #include "bundle_maker.hpp"
 
@@ -114,8 +116,9 @@ TEST(Bundle, FormatOneIsReadInMemoryAndEveryChangeOfWhatIsSignedIsRefused) {
     ASSERT_TRUE(golden) << golden.fault().line();
     const auto bytes = golden.value().bytes();
     // Exactly as large as the file, so that a sanitizer sees the first byte that is read beyond it.
-    const std::unique_ptr<std::byte[], decltype(&std::free)> copy(
-        static_cast<std::byte*>(std::aligned_alloc(64, bytes.size())), &std::free);
+    void* memory = nullptr;
+    ASSERT_EQ(::posix_memalign(&memory, 64, bytes.size()), 0);
+    const std::unique_ptr<std::byte[], decltype(&std::free)> copy(static_cast<std::byte*>(memory), &std::free);
     std::memcpy(copy.get(), bytes.data(), bytes.size());
     const std::span<std::byte> file(copy.get(), bytes.size());
     const auto opened = Bundle::open(file, "golden");
