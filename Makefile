@@ -88,7 +88,7 @@ fuzz: test-sanitized-build  ## 10^7 mutated bundles, motions and key files under
 	@command -v clang++ >/dev/null || { echo "make fuzz needs libFuzzer: apt-get install clang"; exit 1; }
 	@for target in bundle motion trusted_keys; do \
 	    mkdir -p build/fuzz/$$target; \
-	    $(SANITIZED)/fuzz/$${target}_fuzz -runs=$$(printf %.0f $(RUNS)) -timeout=20 -max_len=16384 -print_final_stats=1 \
+	    $(SANITIZED)/fuzz/$${target}_fuzz -runs=$$(printf %.0f $(RUNS)) -timeout=60 -max_len=16384 -print_final_stats=1 \
 	        -artifact_prefix=build/fuzz/$$target- build/fuzz/$$target runtime/fuzz/corpus/$$target || exit 1; \
 	done
 
