@@ -105,7 +105,8 @@ def start_station(folder: Path) -> Iterator[LoopbackStation]:
         port = free.getsockname()[1]
     (folder / "sshd_config").write_text(
         f"ListenAddress 127.0.0.1\nPort {port}\nHostKey {folder}/host\nAuthorizedKeysFile {folder}/authorized\n"
-        "KexAlgorithms curve25519-sha256\nStrictModes no\nUsePAM no\nPasswordAuthentication no\nKbdInteractiveAuthentication no\nPidFile none\n"
+        "KexAlgorithms curve25519-sha256\nStrictModes no\nUsePAM no\nPasswordAuthentication no\n"
+        "KbdInteractiveAuthentication no\nPidFile none\n"
         f"SetEnv PATH={folder}/bin:/usr/sbin:/usr/bin:/bin\n"
     )
     (folder / "known").write_text(f"[127.0.0.1]:{port} {(folder / 'host.pub').read_text()}")

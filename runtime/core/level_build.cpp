@@ -88,8 +88,8 @@ constexpr double kMostLoose = 0.35;
 
 // What a mesh from anywhere may ask for: its coordinates' products stay finite, listing its triangles ends.
 constexpr double kMostExtent = 1e15;
-constexpr double kMostVisited = 67108864.0;  // and more by the triangle: a second of work
-constexpr double kMostVisitedEach = 256.0;
+constexpr double kMostVisited = 16777216.0;  // and more by the triangle: a second of work at most
+constexpr double kMostVisitedEach = 1024.0;
 
 // Triangles along a Morton curve through their first corners: least-significant-digit radix sort of 30-bit keys.
 std::vector<std::uint32_t> morton_order(std::span<const float> vertices, std::span<const std::uint32_t> faces,
