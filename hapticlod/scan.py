@@ -12,7 +12,6 @@ import numpy as np
 
 from hapticlod.errors import InputError
 from hapticlod.material import check_materials, vertex_means
-from hapticlod.repair import clean
 from hapticlod.repair_report import Count, RepairReport
 from hapticlod.scan_file import FileMesh, check_indices, read_mesh
 from hapticlod.scan_unit import UNITS_MM, guess_unit, named_unit
@@ -145,6 +144,8 @@ def scan_from_arrays(
 
 
 def _make(mesh: FileMesh, where: str, name: str, source: str, unit: str, strict: bool) -> Scan:
+    from hapticlod.repair import clean  # scipy is slow to import: a file that cannot be read is refused at once
+
     vertices, faces, of_file, report = clean(mesh.vertices, mesh.faces, where)
     repaired = report.repaired()
     if strict and repaired:

@@ -79,9 +79,9 @@ def guess_unit(vertices: np.ndarray, faces: np.ndarray) -> Unit:
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) == 0:
         return Unit("mm", "unit mm: nothing to guess from", False)
-    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     few = vertices[faces[:: max(1, len(faces) // 20_000)]]
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
+        extent = float(np.linalg.norm(np.ptp(points, axis=0)))
         edges = np.linalg.norm(few - np.roll(few, 1, axis=1), axis=2)
     edges = edges[np.isfinite(edges) & (edges > 0.0)]
     edge = float(np.median(edges)) if len(edges) else extent

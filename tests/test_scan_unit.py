@@ -79,6 +79,7 @@ def test_guesses_at_the_limits() -> None:
     faces = np.array([[0, 1, 2]])
     assert guess_unit(triangle * 20.0, faces).name == "mm"
     assert guess_unit(triangle * 1e30, faces).name == "um"  # nothing fits: the nearest, and the size is noted anyway
+    assert guess_unit(triangle * 1e300, faces).name == "mm"
     assert guess_unit(triangle * np.nan, faces).name == "mm"
     assert guess_unit(triangle * 0.0, faces).name == "mm"
 
