@@ -81,6 +81,12 @@ lock() {
 switch_to() {
     before=$(linked current)
     failing=$1
+    # Current already, but never seen alive: this was cut off once. What it came after is written down.
+    if [ "$before" = "$1" ]; then
+        before=$(cat "$root/releases/$1/came_after" 2>/dev/null || :)
+    else
+        printf '%s\n' "$before" >"$root/releases/$1/came_after"
+    fi
     undo() {
         trap '' INT TERM EXIT
         say "taking it back: ${before:-nothing} is current again"
