@@ -5,17 +5,20 @@ says how large its levels are in shares of the scan, and its lengths in sizes of
 """
 
 import tomllib
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from hapticlod.config import Level, LodConfig, load_config
-from hapticlod.ladder import Ladder
 from hapticlod.layout import MAX_LEVELS
 from hapticlod.toml import TomlModel, checked, fault_at, load_toml
-from hapticlod.tool import Tool
+
+if TYPE_CHECKING:
+    from hapticlod.ladder import Ladder
+    from hapticlod.tool import Tool
 
 Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -61,14 +64,14 @@ class Scheme(TomlModel):
         given: tuple[float, ...] = getattr(self, used)
         if len(given) != len(self.levels) - 1:
             raise fault_at(used, f"{len(self.levels)} levels need {len(self.levels) - 1}, not {len(given)}")
-        if any(after <= before for before, after in zip(given, given[1:], strict=False)):
+        if any(after <= before for before, after in pairwise(given)):
             raise fault_at(used, "must increase")
         sizes = [(level.share, level.balls) for level in self.levels]
-        if any(after[0] > before[0] or after == before for before, after in zip(sizes, sizes[1:], strict=False)):
+        if any(after[0] > before[0] or after == before for before, after in pairwise(sizes)):
             raise fault_at("levels", "must become coarser, or take fewer balls, one by one")
         return self
 
-    def on(self, ladder: Ladder, tool: Tool) -> LodConfig:
+    def on(self, ladder: "Ladder", tool: "Tool") -> LodConfig:
         """This scheme on one scan, for one tool. Levels that come out alike are dropped with the threshold before them.
 
         Raises:
@@ -99,7 +102,7 @@ class Scheme(TomlModel):
         return checked(LodConfig, values, f"scheme {self.name} on {scan.name}")
 
 
-def _offset_mm(ladder: Ladder, triangles: int) -> float:
+def _offset_mm(ladder: "Ladder", triangles: int) -> float:
     """Rms offset of a level from the scan, read between the rungs around it, whose offsets are known already."""
     sizes = np.log([rung.triangles for rung in ladder.rungs])[::-1]
     offsets = np.array([rung.rms_mm for rung in ladder.rungs])[::-1]

@@ -125,14 +125,13 @@ def compare_command(
 
 
 def _show(rows: list, out: Console) -> None:
-    from tuning.compare.ranking import ranking_table
+    from tuning.compare.ranking import failures, ranking_table
 
     scans, done = len({row.scan for row in rows}), sum(row.is_done for row in rows)
     title = f"{done} of {len(rows)} cells on {scans} scan{'s' if scans != 1 else ''}; medians over cells"
     out.print(ranking_table(rows, title))
-    for row in rows:
-        if row.error is not None and not row.is_done:
-            out.print(f"{row.scan}, {row.config}, {row.tool}: {row.error}", markup=False, soft_wrap=True)
+    for line in failures(rows):
+        out.print(line, markup=False, soft_wrap=True)
 
 
 def _check_core(core: int | None) -> None:

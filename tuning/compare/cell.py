@@ -1,4 +1,4 @@
-"""A cell of a comparison: one configuration on one scan with one tool, station and motion; and what it is kept under."""
+"""A cell of a comparison: one configuration on one scan with one tool, station and motion; and the key it has."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hapticlod import _runtime
-from hapticlod.config import LodConfig
-from hapticlod.motion.strokes import Mode
-from hapticlod.scheme import Scheme
-from hapticlod.station import Station
-from hapticlod.tool import Tool
 from tuning.kept import code_digest, key_of
+
+if TYPE_CHECKING:
+    from hapticlod.config import LodConfig
+    from hapticlod.motion.strokes import Mode
+    from hapticlod.scheme import Scheme
+    from hapticlod.station import Station
+    from hapticlod.tool import Tool
 
 TUNED = "tuned"
 

@@ -90,8 +90,7 @@ def standings(rows: Sequence[Row]) -> list[Standing]:
 
 
 HEADINGS = (
-    "mean\nrank", "best\nof", "holds\nbudget", "p99.9\n% of budget", "felt error\nJND", "disconti-\nnuity 1/s",
-    "memory\nMB", "failed\n",
+    "mean\nrank", "best\nof", "holds\nbudget", "p99.9 %\nbudget", "felt\nJND", "jumps\n1/s", "memory\nMB", "fail-\ned",
 )  # fmt: skip
 
 
@@ -110,13 +109,27 @@ def cells_of(standing: Standing) -> list[str]:
 
 def ranking_table(rows: Sequence[Row], title: str) -> Table:
     """One line per configuration, medians over its cells."""
-    table = Table(title=title, title_justify="left", title_style="", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(
+        title=title, title_justify="left", title_style="", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False
+    )
     table.add_column("\nconfiguration", no_wrap=True)
     for heading in HEADINGS:
         table.add_column(heading, justify="right", no_wrap=True)
     for standing in standings(rows):
         table.add_row(standing.config, *cells_of(standing))
     return table
+
+
+def failures(rows: Sequence[Row]) -> list[str]:
+    """One line per scan and reason: how many cells failed, and why."""
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for row in rows:
+        if row.error is not None and not row.is_done:
+            reasons.setdefault((row.scan, row.error), []).append(f"{row.config} with {row.tool}")
+    return [
+        f"{scan}: {cells[0] if len(cells) == 1 else f'{len(cells)} cells'}: {error}"
+        for (scan, error), cells in reasons.items()
+    ]
 
 
 def _median(values: Sequence[float]) -> float | None:
