@@ -8,6 +8,7 @@ All workers must see the scans and tools under the same paths, and run the same 
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,8 +20,9 @@ from tuning.compare.task import Outcome, Task, perform
 LOCAL = "local"
 TIMING = "timing"
 TRIES = 3
-_CONNECT_S = 10.0
+_CONNECT_S = 10.0  # for a scheduler to answer, or a first worker to come
 _LOOK_S = 2.0  # how often to see whether workers are still there
+_RETURN_S = 60.0  # how long to wait for workers that were there to come back
 _LOST = "the worker was lost"
 
 
@@ -89,16 +91,22 @@ class DaskWorkers:
         waiting = list(tasks)
         tried: dict[str, int] = {}
         running: dict[Any, _Place] = {}
+        patience_s, without_since = 0.0, time.monotonic()
         while waiting or running:
             marked = self._timing_workers()
+            if marked:
+                patience_s, without_since = _RETURN_S, time.monotonic()
             for host, address in marked.items():
                 if waiting and host not in {place.host for place in running.values()}:
                     task = waiting.pop(0)
                     running[self._submit(task, address, tried.get(task.key, 0))] = _Place(task, host, address)
             if not running:
+                if time.monotonic() - without_since < patience_s:  # one that died may be started again
+                    time.sleep(0.1)
+                    continue
                 what = f"no worker is marked for timing, {len(waiting)} cells wait"
                 raise InputError("--scheduler", what, f"start one with `dask worker --resources {TIMING}=1`")
-            with contextlib.suppress(TimeoutError):
+            with contextlib.suppress(TimeoutError), self._client.as_current():
                 wait(list(running), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
             addresses = self._addresses()
             for future, place in list(running.items()):
@@ -137,7 +145,7 @@ class DaskWorkers:
                 self._client.wait_for_workers(1, timeout=_CONNECT_S)
             except TimeoutError:
                 raise InputError("--scheduler", "has no worker", "start some with `dask worker`") from None
-        codes = self._client.run(measuring_digest)
+        codes: Any = self._client.run(measuring_digest)
         other = [address for address, code in codes.items() if code != measuring_digest()]
         if other:
             raise InputError(

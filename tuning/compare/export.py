@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from hapticlod.errors import InputError
 from hapticlod.files import write_atomic
@@ -15,7 +16,7 @@ from tuning.compare.ledger import Row
 TEXTS = ("scan", "config", "tool", "station", "motion", "state", "error", "basis", "code", "key", "changed")
 COUNTS = ("triangles", "levels", "n_ticks", "n_contact_ticks", "n_switches", "core")
 NUMBERS = (*METRIC_KEYS, "budget_us", "load_average", "load_others_cores", "load_stolen_cores")
-COLUMNS = (*TEXTS, *COUNTS, *NUMBERS)
+COLUMNS: tuple[str, ...] = (*TEXTS, *COUNTS, *NUMBERS)
 Value = str | int | float | None
 
 
@@ -52,7 +53,8 @@ def write_parquet(path: Path, rows: Sequence[Row]) -> None:
         import pyarrow.parquet
     except ImportError:
         raise InputError("--parquet", "pyarrow is not installed", "install hapticlod[report], or use --csv") from None
-    types = dict.fromkeys(TEXTS, pyarrow.string()) | dict.fromkeys(COUNTS, pyarrow.int64())
+    types: dict[str, Any] = {column: pyarrow.string() for column in TEXTS}
+    types |= {column: pyarrow.int64() for column in COUNTS}
     schema = pyarrow.schema([(column, types.get(column, pyarrow.float64())) for column in COLUMNS])
     table = pyarrow.Table.from_pylist([flat(row) for row in rows], schema=schema)
     held = io.BytesIO()

@@ -199,11 +199,7 @@ class Ledger:
         with self._said():
             found = self._base.execute(f"SELECT {names} FROM cells ORDER BY scan, tool, station, motion, config, rowid")
             rows = found.fetchall()
-        return [
-            Row(*texts, *(None if part is None else json.loads(part) for part in parts), error, changed)
-            for *texts, about, feel, timing, error, changed in rows
-            for parts in [(about, feel, timing)]
-        ]
+        return [Row(*row[:7], *map(_unpacked, row[7:10]), *row[10:]) for row in rows]
 
     def latest(self) -> list[Row]:
         """As `rows`, where a cell was measured again with other inputs or code, only its newest."""
@@ -231,6 +227,10 @@ def _locked(path: Path) -> socket.socket:
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="microseconds")
+
+
+def _unpacked(text: str | None) -> Any:
+    return None if text is None else json.loads(text)
 
 
 def _json(value: Any) -> str:

@@ -82,8 +82,7 @@ def _motion_sets(motions: Sequence[str], seconds: float, seed: int) -> list[Moti
     sets = []
     for word in motions:
         if word == STROKES or word in MODES:
-            modes = MODES if word == STROKES else tuple(mode for mode in MODES if mode == word)
-            sets.append(MotionSet(word, modes, seconds, seed))
+            sets.append(MotionSet(word, tuple(m for m in MODES if word in (STROKES, m)), seconds, seed))
         else:
             sets += [MotionSet(p.stem, path=p, digest=_digest(p)) for p in matching("--motions", [word])]
     return sets
