@@ -96,7 +96,7 @@ def run_late(
         rows.append(row)
         started.append(now_s)
         costs.append(cost_us)
-        ready = min(int((now_s + 1e-6 * cost_us) / period_s) + 1, motion.ticks)
+        ready = min(int(np.ceil((now_s + 1e-6 * cost_us) / period_s - 1e-9)), motion.ticks)
         felt[shown:ready] = force
         force, shown = row["force_n"][0], ready
         # Late: the next tick begins at once; in time: with the next period.

@@ -19,16 +19,23 @@ from hapticlod.replay import Record
 from tuning.report.style import BLUE, COLOURS, DASHES, GREEN, LEVEL_SHADES, MARKERS, VERMILION, panels, styled, thinned
 
 Array = NDArray[np.float64]
+_COLUMNS = 1000  # of level shading: changes that are quicker than a column cannot be seen
 
 
 def shade_levels(axes: Axes, time_s: ArrayLike, level: ArrayLike) -> None:
     """Fills the background by the level in use: white for the finest, darker for coarser ones."""
     at, used = np.asarray(time_s, dtype=np.float64), np.asarray(level)
+    every = max(len(at) // _COLUMNS, 1)
+    at, used = np.append(at[::every], at[-1]), used[::every]
     edges = np.flatnonzero(np.diff(used)) + 1
-    for first, last in zip([0, *edges], [*edges, len(used)], strict=True):
-        if used[first] > 0:
-            stop = at[min(last, len(at) - 1)]
-            axes.axvspan(at[first], stop, facecolor=LEVEL_SHADES[used[first]], edgecolor="none", zorder=0)
+    starts, stops = np.array([0, *edges]), np.array([*edges, len(used)])
+    for number in range(1, int(used.max(initial=0)) + 1):
+        here = used[starts] == number
+        spans = [(at[first], at[last] - at[first]) for first, last in zip(starts[here], stops[here], strict=True)]
+        shade = LEVEL_SHADES[number]
+        axes.broken_barh(
+            spans, (0.0, 1.0), transform=axes.get_xaxis_transform(), facecolor=shade, edgecolor="none", zorder=0
+        )
 
 
 @styled
@@ -125,7 +132,7 @@ def _exceedance(curves: Mapping[str, tuple[Array, Array]], budget_us: float, tit
     axes.set_yscale("log")
     axes.set_xlabel("cost of one tick (µs)")
     axes.set_ylabel("share of ticks above")
-    axes.legend(loc="lower left", ncols=2, bbox_to_anchor=(0.0, 0.05))
+    figure.legend(loc="outside lower left", ncols=3)
     return figure
 
 
@@ -147,6 +154,7 @@ def jumps_at_switches(
         axes.legend(loc="upper left")
     else:
         axes.text(0.5, 0.5, "no level changed in contact", transform=axes.transAxes, ha="center")
+        axes.set_xlim(0.0, 1.0)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("speed at the switch (mm/s)")
     axes.set_ylabel("jump (mN)")
@@ -248,10 +256,11 @@ def cost_and_feel(
     )  # fmt: skip
     axes.set_xscale("log")
     axes.set_yscale("symlog", linthresh=0.1)
-    axes.set_ylim(bottom=-0.01)
+    most = max((jnd for found in points.values() for _, jnd in found), default=1.0)
+    axes.set_ylim(-0.01, max(1.4 * most, 0.2))
     axes.set_xlabel("loop cost at p99.9 / budget")
     axes.set_ylabel("felt error (JND)")
-    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=2)
+    figure.legend(loc="outside lower left", ncols=3)
     return figure
 
 
@@ -276,7 +285,7 @@ def metric_by_scan(
     if line is not None:
         axes.axvline(line, color="black", lw=1.4)
     axes.set_xlabel(unit)
-    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.55 / (0.9 + 0.27 * len(scans)) - 0.02), ncols=2)
+    figure.legend(loc="outside lower left", ncols=3)
     return figure
 
 
