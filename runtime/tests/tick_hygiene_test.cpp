@@ -149,7 +149,7 @@ struct Scene {
     LevelStorage levels[3];
     Renderer renderer;
 
-    Scene(Mapping mapping, bool one_point, bool materials) {
+    Scene(Mapping mapping, bool one_point, bool materials, Policy policy = Policy::velocity) {
         const Mesh meshes[3] = {globe(10.0, 48, 96), globe(9.97, 32, 64), globe(10.02, 20, 40)};
         std::vector<LevelView> views;
         for (int k = 0; k < 3; ++k) {
@@ -178,7 +178,9 @@ struct Scene {
         c.l_in_mm = c.l_out_mm = c.closest_bound_mm = 0.5;
         c.blend_s = 0.02;
         c.max_force_n = 3.0, c.max_slew_n_s = 2000.0, c.engage_s = 0.05;
-        c.speeds_mm_s[0] = 150.0, c.speeds_mm_s[1] = 300.0;
+        c.policy = static_cast<std::uint32_t>(policy);
+        const bool by_speed = policy == Policy::velocity;
+        c.speeds_mm_s[0] = by_speed ? 150.0 : 0.1, c.speeds_mm_s[1] = by_speed ? 300.0 : 0.5;
         for (int k = 0; k < 3; ++k) c.cell_mm[k] = 0.8, c.balls[k] = 20 - 4 * static_cast<std::uint32_t>(k);
         std::mt19937_64 random(3);
         std::normal_distribution<double> normal;
@@ -257,6 +259,31 @@ TEST_P(TickHygiene, NothingButArithmetic) {
     EXPECT_GT(mapped, 10);
     EXPECT_GT(inside, 0);
     EXPECT_GT(faults, 20);
+}
+
+TEST(TickHygieneDistance, NothingButArithmetic) {
+    for (const bool one_point : {true, false}) {
+        Scene scene(Mapping::two_sided, one_point, false, Policy::distance);
+        const std::vector<Step> steps = journey(kTicks / 4);
+        std::vector<TickRecord> rows(steps.size());
+#if defined(HAPTICLOD_INTERPOSED)
+        allocations = locks = writes = 0;
+        watching = true;
+#endif
+        for (std::size_t t = 0; t < steps.size(); ++t) scene.renderer.tick(steps[t].pose, steps[t].time_s, rows[t]);
+#if defined(HAPTICLOD_INTERPOSED)
+        watching = false;
+        EXPECT_EQ(allocations, 0);
+        EXPECT_EQ(locks, 0);
+        EXPECT_EQ(writes, 0);
+#endif
+        int switches = 0;
+        for (std::size_t t = 1; t < rows.size(); ++t) {
+            switches += rows[t].level != rows[t - 1].level;
+            for (const double f : rows[t].force_n) ASSERT_TRUE(std::isfinite(f));
+        }
+        EXPECT_GT(switches, 50);
+    }
 }
 
 TEST_P(TickHygiene, TwoRunsGiveTheSameBits) {
