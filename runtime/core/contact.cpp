@@ -65,6 +65,7 @@ void ContactSolver::bind(const ActiveLevel& level, const Kernels& kernels, const
     mean_edge_mm_ = double{level.view.hash->mean_edge_mm};
     cell_mm_ = level.view.hash->cell_mm;
     candidates_.bind(level, kernels);
+    sole_block_ = 0xffffffffu;
     touched_ = false;
 }
 
@@ -244,7 +245,8 @@ bool ContactSolver::travel(Vec3 step, double& wanted, int& iteration, std::span<
             whole = std::clamp((-b + std::sqrt(std::max(b * b - a * c, 0.0))) / a, 0.0, 1.0);
         }
         const Vec3 part = step * whole;
-        const double t = std::min(sweep(part, balls, counters), 1.0);
+        const double t = norm2(part) <= proven_ * proven_ ? 1.0 : std::min(sweep(part, balls, counters), 1.0);
+        proven_ = 0.0;
         x_ += part * t;
         path_ += norm(part) * t;
         if (t < 1.0) return false;
@@ -279,7 +281,8 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         if (k > 0 && counters.work() > work_limit_) break;
         ++counters.iterations;
         next_stamp();
-        const double settled = tolerances_.settled * std::min(std::exp2(std::max(k - kPatience, 0)), 100.0);
+        const double settled = k <= kPatience ? tolerances_.settled
+                                              : tolerances_.settled * std::min(std::exp2(k - kPatience), 100.0);
         if (!candidates_hold(x_)) {
             out.active = 0;  // planes of the last step are in the old frame
             if (!gather_further(wanted, balls, counters)) {
@@ -291,7 +294,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         }
         const Vec3 centre = candidates_.centre();
         local_ = x_ - centre;
-        collect_touching(balls, counters);
+        if (!find_sole_plane(balls, hip - centre, counters)) proven_ = 0.0, collect_touching(balls, counters);
         // Two faces of a shallow crease can send the point to and fro: then both count at once.
         const int touched = planes_.count;
         if (k >= 2 && norm2(x_ - before_last) < 0.25 * norm2(x_ - last))

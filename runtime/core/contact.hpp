@@ -124,6 +124,9 @@ private:
     }
     [[nodiscard]] double granted_here(std::uint32_t i, const SolverBall& ball);
     [[nodiscard]] double bounded_here(std::uint32_t i);
+    // Planes of what touches at local_, by the short way: one ball and at most one plane. False: collect_touching has to
+    // look. A step of proven_ along the plane, toward the target, or in the air, needs no sweep.
+    [[nodiscard]] bool find_sole_plane(std::span<const SolverBall> balls, const Vec3& target, TickCounters& counters);
     void collect_touching(std::span<const SolverBall> balls, TickCounters& counters);
     [[nodiscard]] bool gather_further(double& wanted, std::span<const SolverBall> balls, TickCounters& counters);
     [[nodiscard]] bool travel(Vec3 step, double& wanted, int& iteration, std::span<const SolverBall> balls,
@@ -140,6 +143,8 @@ private:
     Vec3 local_;  // x relative to the candidates' centre, at the last evaluation
     double work_limit_ = std::numeric_limits<double>::infinity();
     double free_distance_ = 0.0;
+    double proven_ = 0.0;
+    std::uint32_t sole_block_ = 0xffffffffu, sole_lane_ = 0;  // the triangle that find_sole_plane() found last
     double path_ = 0.0;  // length moved since the gather, turns included
     std::uint32_t stamp_ =
         Candidates::kListed;  // names the present local_: what carries it need not be evaluated again

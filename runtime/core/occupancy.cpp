@@ -63,8 +63,9 @@ BlockBound bound_of(const TriBlock& block) {
 ActiveLevel::ActiveLevel(const LevelView& level) : view(level) {
     occupancy.build(level);
     closed = std::find(level.adjacency.begin(), level.adjacency.end(), kNoNeighbour) == level.adjacency.end();
-    bounds.reserve(level.blocks.size());
+    bounds.reserve(level.blocks.size() + kBoundsBeyond);
     for (const TriBlock& block : level.blocks) bounds.push_back(bound_of(block));
+    bounds.resize(bounds.size() + kBoundsBeyond);
 }
 
 }  // namespace hapticlod
