@@ -59,8 +59,7 @@ void Candidates::forget() {
 
 std::size_t Candidates::bytes() const {
     return kMaxBlocks * (2 * sizeof(Pair) + 2 * sizeof(double) + sizeof(EvalBlock) + sizeof(std::uint32_t)) +
-           listed_bounds_.size() * sizeof(BlockBound) +
-           kTable * sizeof(Known) +
+           listed_bounds_.size() * sizeof(BlockBound) + kTable * sizeof(Known) +
            (balls_clear_until_.size() + nodes_clear_until_.size() + nodes_looked_at_.size()) * sizeof(double);
 }
 
@@ -130,7 +129,12 @@ void Candidates::for_cells(const Vec3& centre, double range, TickCounters& count
     counters.cells += level_->occupancy.for_bricks(level, brick_lo, brick_hi, [&](const Brick& brick) {
         const std::int32_t base[3] = {brick.x * 4, brick.y * 4, brick.z * 4};
         int from[3], to[3];
-        double gap2_of[3][4];
+        double gap2_of[3][4], brick_gap2 = 0.0;
+        for (int k = 0; k < 3; ++k) {
+            const double gap = axis_gap(at[k], base[k] * h - loose, (base[k] + 4) * h + loose);
+            brick_gap2 += gap * gap;
+        }
+        if (brick_gap2 > range * range) return true;
         for (int k = 0; k < 3; ++k) {
             from[k] = std::max(lo[k] - base[k], 0), to[k] = std::min(hi[k] - base[k], 3);
             for (int c = from[k]; c <= to[k]; ++c) {
@@ -195,7 +199,7 @@ void Candidates::list(std::uint32_t block, std::uint32_t ball, double bound) {
         }
     }
     // A new pair this near will be looked at in this tick or the next: its triangles are on their way meanwhile.
-    if (pair.stamp == kListed && (bound < near_ || solver_balls_.size() == 1)) {
+    if (pair.stamp == kListed && bound < near_) {
         const char* line = reinterpret_cast<const char*>(&level_->view.blocks[block]);
         for (std::size_t k = 0; k < sizeof(TriBlock); k += 64) __builtin_prefetch(line + k);
     }
@@ -240,10 +244,10 @@ bool Candidates::gather_one(std::uint32_t place, double reach, TickCounters& cou
         const std::uint32_t cell = brick.first_cell + static_cast<std::uint32_t>(std::popcount(below));
         const std::uint32_t from = level.cells[cell], end = level.cells[cell + 1];
         counters.triangles += 8 * (end - from);
-        for (std::uint32_t b = from; b < end; ++b) {
-            near_by[waiting] = level_->bounds[b];
-            block[waiting] = b;
-            if (++waiting == kChunk && !look()) return false;
+        for (std::uint32_t b = from; b < end;) {
+            const std::uint32_t stop = std::min(end, b + kChunk - waiting);
+            for (; b < stop; ++b, ++waiting) near_by[waiting] = level_->bounds[b], block[waiting] = b;
+            if (waiting == kChunk && !look()) return false;
         }
         return true;
     });

@@ -40,9 +40,12 @@ struct Kernels {
     // lane in `active` with a bound of at most `reach`. `least` (8) falls to the least bound beyond the reach.
     void (*near)(const BlockBound* bounds, std::uint32_t count, const BallPack& balls, const float centre[3],
                  std::uint32_t active, float reach, float* least, float* low, std::uint32_t* bits);
-    // Lower bounds of the clearance between each block and one ball. Bounds are read and `low` is written up to the next
-    // multiple of eight.
+    // Lower bounds of the clearance between each block and one ball. Bounds are read and `low` is written up to the
+    // next multiple of eight.
     void (*near_one)(const BlockBound* bounds, std::uint32_t count, const float centre[3], float kept, float* low);
+    // Upper bounds of how far each block rises above the plane through the place. Reads and writes as near_one().
+    void (*highest)(const BlockBound* bounds, std::uint32_t count, const float place[3], const float normal[3],
+                    float* high);
     // Bit k: seen from shift + residual along its normal, the nearest point of triangle k's plane is on the triangle;
     // height2[k] (8) is its squared distance.
     std::uint32_t (*facing)(const TriBlock& block, const float shift[3], const float residual[3], float* height2);

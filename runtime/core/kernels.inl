@@ -96,26 +96,27 @@ HAPTICLOD_INLINE void transpose(const BlockBound* bounds, F8 (&row)[8]) {
 #define LOAD(k) load(p + 8 * (k), a[k])
     LOAD(0), LOAD(1), LOAD(2), LOAD(3), LOAD(4), LOAD(5), LOAD(6), LOAD(7);
 #undef LOAD
-#define PAIR(k)                                                                    \
-    b[k] = __builtin_shufflevector(a[k], a[(k) + 1], 0, 8, 1, 9, 4, 12, 5, 13),    \
+#define PAIR(k)                                                                 \
+    b[k] = __builtin_shufflevector(a[k], a[(k) + 1], 0, 8, 1, 9, 4, 12, 5, 13), \
     b[(k) + 1] = __builtin_shufflevector(a[k], a[(k) + 1], 2, 10, 3, 11, 6, 14, 7, 15)
     PAIR(0), PAIR(2), PAIR(4), PAIR(6);
 #undef PAIR
-#define FOUR(k)                                                                    \
-    a[k] = __builtin_shufflevector(b[k], b[(k) + 2], 0, 1, 8, 9, 4, 5, 12, 13),    \
-    a[(k) + 1] = __builtin_shufflevector(b[k], b[(k) + 2], 2, 3, 10, 11, 6, 7, 14, 15),    \
-    a[(k) + 2] = __builtin_shufflevector(b[(k) + 1], b[(k) + 3], 0, 1, 8, 9, 4, 5, 12, 13),    \
+#define FOUR(k)                                                                             \
+    a[k] = __builtin_shufflevector(b[k], b[(k) + 2], 0, 1, 8, 9, 4, 5, 12, 13),             \
+    a[(k) + 1] = __builtin_shufflevector(b[k], b[(k) + 2], 2, 3, 10, 11, 6, 7, 14, 15),     \
+    a[(k) + 2] = __builtin_shufflevector(b[(k) + 1], b[(k) + 3], 0, 1, 8, 9, 4, 5, 12, 13), \
     a[(k) + 3] = __builtin_shufflevector(b[(k) + 1], b[(k) + 3], 2, 3, 10, 11, 6, 7, 14, 15)
     FOUR(0), FOUR(4);
 #undef FOUR
-#define HALVES(k)                                                                  \
-    row[k] = __builtin_shufflevector(a[k], a[(k) + 4], 0, 1, 2, 3, 8, 9, 10, 11),  \
+#define HALVES(k)                                                                 \
+    row[k] = __builtin_shufflevector(a[k], a[(k) + 4], 0, 1, 2, 3, 8, 9, 10, 11), \
     row[(k) + 4] = __builtin_shufflevector(a[k], a[(k) + 4], 4, 5, 6, 7, 12, 13, 14, 15)
     HALVES(0), HALVES(1), HALVES(2), HALVES(3);
 #undef HALVES
 }
 
-// A block lies in a disc: the slab's part within the radius of the slab's axis. r: from the ball's centre to the block's.
+// A block lies in a disc: the slab's part within the radius of the slab's axis. r: from the ball's centre to the
+// block's.
 HAPTICLOD_INLINE void disc_bound(const V8& r, const V8& normal, const F8& radius, const F8& half, F8& out) {
     const F8 zero = {0, 0, 0, 0, 0, 0, 0, 0};
     const F8 rr = V8_DOT(r, r);
@@ -216,6 +217,23 @@ void near_one(const BlockBound* bounds, std::uint32_t count, const float centre[
         normal.x = row[4], normal.y = row[5], normal.z = row[6];
         disc_bound(r, normal, row[3], row[7], d);
         store(low + b, d - kept);
+    }
+}
+
+void highest(const BlockBound* bounds, std::uint32_t count, const float place[3], const float normal[3], float* high) {
+    for (std::uint32_t b = 0; b < count; b += 8) {
+        F8 row[8], lean;
+        transpose(bounds + b, row);
+        V8 r, m, d;
+        r.x = row[0] - place[0], r.y = row[1] - place[1], r.z = row[2] - place[2];
+        m.x = row[4], m.y = row[5], m.z = row[6];
+        // The slab has two sides: the normal of the nearer one. |d| is not less than the sine of the angle.
+        const F8 along = m.x * normal[0] + m.y * normal[1] + m.z * normal[2];
+        const I8 turned = along < 0.0f;
+        m.x = SELECT(turned, -m.x, m.x), m.y = SELECT(turned, -m.y, m.y), m.z = SELECT(turned, -m.z, m.z);
+        d.x = m.x - normal[0], d.y = m.y - normal[1], d.z = m.z - normal[2];
+        root(V8_DOT(d, d), lean);
+        store(high + b, r.x * normal[0] + r.y * normal[1] + r.z * normal[2] + row[7] + row[3] * (lean + 1e-6f));
     }
 }
 
