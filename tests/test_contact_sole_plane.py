@@ -41,9 +41,9 @@ def test_one_ball_is_two_balls_in_one_place(name: str, speed_mm_s: float, radius
     anchors[0, 2] += 3.0
     hip = shapes.wander(anchors, speed_mm_s, 1500 if speed_mm_s < 100.0 else 600)
     ball = point_or_ball(radius_mm)
-    crack = {"crack_mm": 0.06} if name == "cracked plane" else {}
-    short = Core([mesh], ball, **crack).replay(hip)
-    general = Core([mesh], np.repeat(ball, 2, axis=0), **crack).replay(hip)
+    crack_mm = 0.06 if name == "cracked plane" else 0.0
+    short = Core([mesh], ball, crack_mm=crack_mm).replay(hip)
+    general = Core([mesh], np.repeat(ball, 2, axis=0), crack_mm=crack_mm).replay(hip)
     touching = (short["contact"] == 1) & (general["contact"] == 1)
     assert touching.sum() > 100
     apart_mm = np.linalg.norm(short["scp_mm"] - general["scp_mm"], axis=1)
