@@ -11,8 +11,8 @@ SANITIZED := build/sanitized
 # The sanitized build is also the second compiler's: clang where there is one.
 SANITIZED_CXX := $(shell command -v clang++ || command -v c++)
 CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_WERROR=ON
-CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl')
-PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
+CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl' 'examples/*.c')
+PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
 .PHONY: help setup configure build product test test-cpp test-sanitized test-python lint format demo bench bench-quick soak fuzz station-static test-sanitized-build \
     evaluate-surrogate bench-tuners clean
