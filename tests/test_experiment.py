@@ -15,7 +15,6 @@ from hapticlod.tool import point
 from tuning.experiments.meshes import PLANE_TRIANGLES, SPHERE_VERTICES, mesh_level, plane, sphere
 from tuning.experiments.old_machine import run_late, slowdown_of
 from tuning.experiments.slides import DEPTH_MM, slide_on_plane, slide_on_sphere
-
 from tuning.report.plots import forces_over_time
 from tuning.report.style import svg_of
 

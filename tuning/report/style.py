@@ -25,7 +25,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 LEVEL_SHADES = ("#FFFFFF", "#DCE9F2", "#B5D0E4", "#8DB7D6", "#669EC8", "#4185BA", "#2D6A99", "#1F4C6F")
 
 # Small enough to stand beside each other on a wide page, and alone on a narrow one without shrinking its text.
-WIDTH_IN = 5.6
+WIDTH_IN = 5.0
 _STYLE: dict[str, Any] = {
     "font.size": 9.0, "font.family": "sans-serif", "axes.titlesize": 10.0, "axes.titleweight": "bold",
     "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
