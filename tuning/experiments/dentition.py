@@ -25,7 +25,7 @@ _OFFSETS = 4.0  # of the coarsest level: the mapping length of ours
 
 
 def dentition_experiment(
-    station: Station, tool: Tool, seconds: float, scan: Path | None = None, unit: str = "mm", seed: int = 0
+    station: Station, tool: Tool, seconds: float, scan: Path | None = None, unit: str | None = None, seed: int = 0
 ) -> Outcome:
     """Level 0 alone, the paper's rule and ours, with a fast and a slow hand.
 
