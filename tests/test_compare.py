@@ -19,6 +19,7 @@ import pytest
 from compare_cases import POLICIES, STATIONS, TOOLS, cells, words, write_globe
 
 import tuning.cli
+from hapticlod.errors import InputError
 from hapticlod.metrics import METRIC_KEYS
 from tuning.compare.batch import run_batch
 from tuning.compare.ledger import APPLICATION_ID, Ledger, Row
@@ -227,6 +228,17 @@ def test_a_worker_that_dies_costs_a_second_try(folder: Path, whole: list[Row]) -
         ((_, outcome),) = LocalWorkers(2).outcomes(tasks[:1], alone=False)
     assert outcome.result is None and outcome.error == "the worker was ended by signal 9, 2 times"
     assert multiprocessing.active_children() == []
+
+
+def test_what_other_code_measured_is_not_kept(folder: Path) -> None:
+    class Changed(Here):
+        def outcomes(self, tasks: list[Task], *, alone: bool) -> Iterator[tuple[Task, Outcome]]:
+            yield tasks[0], Outcome({"metrics": {"felt_error_jnd": 0.0}}, code="another")
+
+    with Ledger(folder / "changed.db") as ledger:
+        with pytest.raises(InputError, match="other code"):
+            run_batch(cells(folder, "a.stl"), ledger, Changed())
+        assert ledger.rows() == []
 
 
 def test_ranking_puts_what_holds_the_budget_first(whole: list[Row]) -> None:

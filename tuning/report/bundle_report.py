@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from hapticlod import _runtime
 from hapticlod.bundle.read import Bundle, BundleLevel
@@ -122,7 +122,7 @@ def _measured(manifest: Json) -> str:
         if isinstance(found, dict):
             known = [c.text(found) if isinstance(found.get(c.key), int | float) else "-" for c in COLUMNS]
             holds = manifest.get("feasible") if name == "tuned" else found.get("feasible")
-            rows.append((name, *known, {True: "yes", False: "no"}.get(holds, "-")))
+            rows.append((name, *known, "-" if holds is None else "yes" if holds else "no"))
     if not rows:
         return words("The bundle says nothing that was measured.")
     headings = ("", *(c.name for c in COLUMNS), "holds budget and memory")
@@ -253,7 +253,7 @@ def _usage(held: Bundle, record: Record, vertices: NDArray[np.float64]) -> Colou
     level = np.zeros(len(vertices), dtype=np.uint8)
     if touched.any():
         scp = record.scp[touched] - held.config["origin_mm"]
-        distance, nearest = cKDTree(scp).query(vertices, distance_upper_bound=reach + held.tool.reference_radius_mm)
+        distance, nearest = KDTree(scp).query(vertices, distance_upper_bound=reach + held.tool.reference_radius_mm)
         near = np.isfinite(distance)
         level[near] = 1 + record.level[touched][nearest[near]]
     names = ("not touched", *(f"level {k}" for k in range(len(held.levels))))

@@ -26,7 +26,7 @@ LEVEL_SHADES = ("#FFFFFF", "#DCE9F2", "#B5D0E4", "#8DB7D6", "#669EC8", "#4185BA"
 
 # Small enough to stand beside each other on a wide page, and alone on a narrow one without shrinking its text.
 WIDTH_IN = 5.0
-_STYLE: dict[str, Any] = {
+_STYLE: Any = {
     "font.size": 9.0, "font.family": "sans-serif", "axes.titlesize": 10.0, "axes.titleweight": "bold",
     "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
     "grid.color": "#D9D9D9", "grid.linewidth": 0.5, "axes.axisbelow": True, "lines.linewidth": 1.1,
