@@ -233,7 +233,7 @@ def test_a_worker_that_dies_costs_a_second_try(folder: Path, whole: list[Row]) -
 def test_what_other_code_measured_is_not_kept(folder: Path) -> None:
     class Changed(Here):
         def outcomes(self, tasks: list[Task], *, alone: bool) -> Iterator[tuple[Task, Outcome]]:
-            yield tasks[0], Outcome({"metrics": {"felt_error_jnd": 0.0}}, code="another")
+            yield from ((task, Outcome({"metrics": {"felt_error_jnd": 0.0}}, code="another")) for task in tasks[:1])
 
     with Ledger(folder / "changed.db") as ledger:
         with pytest.raises(InputError, match="other code"):
