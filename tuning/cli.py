@@ -40,6 +40,9 @@ app.command("tuning.commands.compare:compare_command", name="compare", help="Ran
 app.command("tuning.commands.experiment:experiment_command", name="experiment", help="Redraw the paper's figures.")
 app.command("tuning.commands.report:report_command", name="report", help="Write a page about a bundle or comparison.")
 app.command("tuning.commands.inspect:inspect_command", name="inspect", help="Show what a bundle holds.")
+app.command("tuning.commands.deploy:deploy_command", name="deploy", help="Install a bundle on a station over ssh.")
+app.command("tuning.commands.deploy:pack_command", name="pack", help="The same as one file, without a network.")
+app.command("tuning.commands.key:key_app", name="key", help="Sign bundles, and say whose bundles to trust.")
 
 
 def run(tokens: Sequence[str], program: App = app) -> int:
