@@ -16,6 +16,8 @@ using Words = std::span<const std::string_view>;
 int command_run(Words words);
 int command_replay(Words words);
 int command_inspect(Words words);
+int command_devices(Words words);
+int command_status(Words words);
 
 // Prints the fault's line to stderr; returns kExitBadInput.
 int refuse(const Fault& fault);

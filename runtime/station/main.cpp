@@ -12,10 +12,24 @@ namespace {
 constexpr const char* kHelp =
     "hapticlod-station: renders a tuned bundle on this machine\n"
     "\n"
-    "  run BUNDLE --device sim [--seconds S] [--motion CSV] [--cpu N] [--virtual-time] [--json]\n"
-    "      The real-time loop, at the bundle's rate. sim: a simulated hand and device that follow the bundle's golden\n"
-    "      motion, or the given one, and feel the force. Without --seconds until Ctrl-C. --virtual-time: simulated\n"
-    "      time, repeatable and as fast as it computes. The last line printed is JSON; --json prints nothing else.\n"
+    "  run BUNDLE --device NAME [--seconds S] [--cpu N] [--json]\n"
+    "      The real-time loop, at the bundle's rate. NAME: sim, a profile's name, or its TOML file (docs/devices.md).\n"
+    "      Without --seconds until Ctrl-C; any key, or SIGUSR1, is the emergency stop. The last line printed is JSON;\n"
+    "      --json prints nothing else.\n"
+    "      sim is a simulated hand and device that follow the bundle's golden motion and feel the force:\n"
+    "        --motion CSV           the hand's motion\n"
+    "        --virtual-time         simulated time, repeatable and as fast as it computes\n"
+    "      a device:\n"
+    "        --serial S, --path P   which one, where several match\n"
+    "        --centre-mm X,Y,Z      point of the scan that the device's origin stands for; default: the scan's centre\n"
+    "        --accept-no-watchdog   run a device whose motors keep their force when this program dies\n"
+    "        --reconnect            after it went away: wait for it, and arm it again on Enter\n"
+    "      --passivity-damping B    let the passivity controller add up to B N s/mm; else it only observes\n"
+    "      --record FILE.mcap       record every tick;  --flight FOLDER  where the last 10 s go after a fault\n"
+    "  status [--pid N] [--once] [--json]\n"
+    "      What a running station does, from its shared memory.\n"
+    "  devices [--json]\n"
+    "      The HID devices that are there, and the profiles that know them.\n"
     "  replay BUNDLE MOTION.csv OUT.csv\n"
     "      Renders a motion (t_s,x_mm,y_mm,z_mm[,qw,qx,qy,qz]) offline and writes what every tick gave.\n"
     "  inspect BUNDLE [--json]\n"
@@ -28,7 +42,10 @@ struct Command {
     std::string_view name;
     int (*run)(Words);
 };
-constexpr Command kCommands[] = {{"run", command_run}, {"replay", command_replay}, {"inspect", command_inspect}};
+constexpr Command kCommands[] = {
+    {"run", command_run},         {"replay", command_replay}, {"inspect", command_inspect},
+    {"devices", command_devices}, {"status", command_status},
+};
 
 }  // namespace
 
@@ -64,5 +81,5 @@ int main(int argc, char** argv) {
     } catch (const std::exception& error) {
         return refuse({"hapticlod-station", std::string("internal error (") + error.what() + ")", "report it"});
     }
-    return refuse({std::string(words[0]), "is no command", "use run, replay or inspect, or see --help"});
+    return refuse({std::string(words[0]), "is no command", "see hapticlod-station --help"});
 }

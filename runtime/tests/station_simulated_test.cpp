@@ -19,6 +19,7 @@ HandPath still(double x_mm = 0.0) {
 SimulatedBody exact_encoder() {
     SimulatedBody body;
     body.encoder_mm = 0.0;
+    body.device_friction_n = 0.0;  // closed forms know none
     return body;
 }
 
@@ -27,7 +28,7 @@ TEST(SimulatedDevice, ForceStepGivesTheDampedOscillation) {
     SimulatedDevice device(still(), body);
     (void)device.read(0);
     const double force[3] = {1.0, 0.0, 0.0};
-    device.write(0, force);
+    device.write(0, force, true);
     // x'' + 2 z w x' + w^2 x = F/m, from rest.
     const double mass = body.hand_mass_kg + body.device_mass_kg;
     const double w = std::sqrt(body.hand_stiffness_n_mm * 1000.0 / mass);
@@ -49,7 +50,7 @@ TEST(SimulatedDevice, ResultDoesNotDependOnWhenItIsRead) {
     SimulatedDevice often(still(), exact_encoder()), late(still(), exact_encoder());
     for (SimulatedDevice* device : {&often, &late}) {
         (void)device->read(0);
-        device->write(0, force);
+        device->write(0, force, true);
     }
     for (int i = 1; i <= 300; ++i) (void)often.read(i * 123'457);
     (void)late.read(300 * 123'457);
@@ -63,7 +64,7 @@ TEST(SimulatedDevice, PressedHandRestsWhereSpringsBalance) {
     for (int tick = 0; tick < 2000; ++tick) {
         x = device.read(tick * kTick_ns).pose.position_mm[0];
         const double force[3] = {x < 0.0 ? -1.0 * x : 0.0, 0.0, 0.0};
-        device.write(tick * kTick_ns, force);
+        device.write(tick * kTick_ns, force, true);
     }
     EXPECT_NEAR(x, -2.0 * 0.5 / 1.5, 1e-6);
 }
@@ -88,7 +89,7 @@ double wall_amplitude(double share_of_limit) {
     for (int tick = 0; tick < 4000; ++tick) {
         const double x = device.read(tick * kTick_ns).pose.position_mm[0];
         const double force[3] = {-stiffness * (x + 1.0) + (tick < 10 ? 0.5 : 0.0), 0.0, 0.0};  // two-sided wall, a kick
-        device.write(tick * kTick_ns, force);
+        device.write(tick * kTick_ns, force, true);
         if (tick >= 3000) most = std::max(most, std::abs(x + 1.0));
     }
     return most;
