@@ -180,8 +180,8 @@ def test_stiffness_is_capped_for_the_device(parts: dict[str, Any], tmp_path: Pat
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["run", "BUNDLE"], "--device: is missing; this version has one device: --device sim"),
-        (["run", "BUNDLE", "--device", "falcon"], "--device: 'falcon' is not known"),
+        (["run", "BUNDLE"], "--device: is missing; give sim, a profile's name, or a profile's TOML file"),
+        (["run", "BUNDLE", "--device", "falcon"], "--device: 'falcon' is not known; give one of sim, native"),
         (["run", "BUNDLE", "--device", "sim", "--seconds", "-1"], "--seconds: is '-1'; give a number"),
         (["run", "BUNDLE", "--device", "sim", "--seconds", "soon"], "--seconds: is 'soon'; give a number"),
         (["run", "BUNDLE", "--device", "sim", "--motion", "no.csv"], "no.csv: cannot be opened"),
@@ -193,7 +193,7 @@ def test_stiffness_is_capped_for_the_device(parts: dict[str, Any], tmp_path: Pat
         (["replay", "BUNDLE", "BUNDLE", "out.csv"], "plate.hlod"),
         (["inspect", "no.hlod"], "no.hlod: cannot be opened"),
         (["inspect", "."], ".: is not a regular file"),
-        (["tune"], "tune: is no command; use run, replay or inspect"),
+        (["tune"], "tune: is no command; see hapticlod-station --help"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(bundle_path: Path, words: list[str], expected: str) -> None:

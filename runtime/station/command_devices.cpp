@@ -28,9 +28,15 @@ std::vector<std::string> profiles_for(const HidEntry& entry, const std::vector<R
 }  // namespace
 
 int command_devices(Words words) {
-    const auto arguments = Arguments::parse(words, {{}, {}, {"--json"}});
+    const auto arguments = Arguments::parse(words, {{}, {"--profile"}, {"--json"}});
     if (!arguments) return refuse(arguments.fault());
-    const auto profiles = all_profiles();
+    auto profiles = all_profiles();
+    if (const auto file = arguments.value().option("--profile")) {
+        auto profile = read_device_profile(*file);
+        if (!profile) return refuse(profile.fault());
+        profiles.clear();
+        profiles.push_back(std::move(profile));
+    }
     for (const auto& profile : profiles) {
         if (!profile) std::fprintf(stderr, "%s\n", profile.fault().line().c_str());
     }

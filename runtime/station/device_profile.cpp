@@ -70,6 +70,21 @@ Field read_field(TomlReader reader, FieldName name, unsigned bytes, TomlReader& 
     return field;
 }
 
+// Of two fields that overlap, the one that begins later is to blame.
+void check_overlaps(const ReportLayout& layout, TomlReader& fields) {
+    for (std::size_t i = 0; i < kFieldNames; ++i) {
+        for (std::size_t j = 0; j < kFieldNames; ++j) {
+            const auto &earlier = layout.fields[i], &later = layout.fields[j];
+            if (!earlier || !later || i == j) continue;
+            if (later->offset < earlier->offset || (later->offset == earlier->offset && j < i)) continue;
+            if (later->offset >= earlier->end()) continue;
+            fields.fault(name_of(static_cast<FieldName>(j)),
+                         std::string("overlaps ") + name_of(static_cast<FieldName>(i)));
+            return;
+        }
+    }
+}
+
 ReportLayout read_layout(TomlReader reader, std::span<const FieldName> allowed) {
     ReportLayout layout;
     layout.report_id = static_cast<unsigned>(reader.integer("report_id", 0, 255));
@@ -81,15 +96,9 @@ ReportLayout read_layout(TomlReader reader, std::span<const FieldName> allowed) 
     for (const std::string& key : fields.keys()) {
         const auto name = field_name(key);
         if (!name || std::find(allowed.begin(), allowed.end(), *name) == allowed.end()) continue;  // finish() says it
-        const Field field = read_field(fields.table(key), *name, layout.bytes, fields);
-        for (std::size_t i = 0; i < kFieldNames; ++i) {
-            const auto& other = layout.fields[i];
-            if (other && field.offset < other->end() && other->offset < field.end()) {
-                fields.fault(key, std::string("overlaps ") + name_of(static_cast<FieldName>(i)));
-            }
-        }
-        layout.fields[static_cast<std::size_t>(*name)] = field;
+        layout.fields[static_cast<std::size_t>(*name)] = read_field(fields.table(key), *name, layout.bytes, fields);
     }
+    check_overlaps(layout, fields);
     fields.finish();
     return layout;
 }

@@ -1,4 +1,5 @@
 // hapticlod-station: the program of the machine that the force-feedback device is on.
+#include <clocale>
 #include <cstdio>
 #include <exception>
 #include <string>
@@ -28,8 +29,8 @@ constexpr const char* kHelp =
     "      --record FILE.mcap       record every tick;  --flight FOLDER  where the last 10 s go after a fault\n"
     "  status [--pid N] [--once] [--json]\n"
     "      What a running station does, from its shared memory.\n"
-    "  devices [--json]\n"
-    "      The HID devices that are there, and the profiles that know them.\n"
+    "  devices [--profile FILE] [--json]\n"
+    "      The HID devices that are there, and the profiles that know them; checks a profile.\n"
     "  replay BUNDLE MOTION.csv OUT.csv\n"
     "      Renders a motion (t_s,x_mm,y_mm,z_mm[,qw,qx,qy,qz]) offline and writes what every tick gave.\n"
     "  inspect BUNDLE [--json]\n"
@@ -58,6 +59,7 @@ int refuse(const Fault& fault) {
 
 int main(int argc, char** argv) {
     using namespace hapticlod::station;
+    (void)std::setlocale(LC_CTYPE, "C.UTF-8");  // hidapi turns names of devices into wide characters by it
     const std::vector<std::string_view> words(argv + 1, argv + argc);
     if (words.empty()) {
         std::fputs(kHelp, stderr);

@@ -68,7 +68,7 @@ void SafetyCore::link(const LinkReport& seen, double dt_s) noexcept {
     if (seen.wrong_report) stop(SafetyFault::wrong_report);
     if (seen.device_fault) stop(SafetyFault::device_fault);
     if (seen.estop) stop(SafetyFault::device_estop);
-    if (seen.writing_s > kStuck_s) stop(SafetyFault::write_blocked);
+    if (seen.writing_s > patience() * kStuck_s) stop(SafetyFault::write_blocked);
     if (seen.repeats >= kFrozen) stop(SafetyFault::frozen);
     if (live() && seen.watchdog_tripped) stop(SafetyFault::device_watchdog);
     if (live() && !seen.calibrated) stop(SafetyFault::device_fault);

@@ -27,7 +27,8 @@
 //  write blocked            kStuck_s (20 ms)                                       SAFE; the firmware's watchdog lets
 //  go device fault, e-stop     never                                                  SAFE operator's stop never SAFE
 //
-// A device slower than 600 reports a second is granted 3, 6 and 12 of its periods for the times of `no report`.
+// A device slower than 600 reports a second is granted 3, 6 and 12 of its periods for the times of `no report`, and 12
+// for a write.
 #pragma once
 #include <cstdint>
 
