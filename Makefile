@@ -14,7 +14,8 @@ CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
 
-.PHONY: help setup configure build product test test-cpp test-sanitized test-python lint format demo bench bench-quick soak \
+.PHONY: help setup configure build product test test-cpp test-sanitized test-threads test-python lint format demo bench \
+    bench-quick bench-station soak \
     evaluate-surrogate bench-tuners clean
 
 help:  ## this list
@@ -35,7 +36,7 @@ build: configure  ## the station, the Python module, tests and benchmarks
 product: configure  ## the station and the Python module alone
 	@cmake --build $(RELEASE) --target hapticlod-station _runtime _runtime_stub
 
-test: lint test-cpp test-sanitized test-python  ## everything CI runs
+test: lint test-cpp test-sanitized test-threads test-python  ## everything CI runs
 
 test-cpp: build  ## C++ tests, release build
 	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error -j 2
@@ -47,6 +48,14 @@ test-sanitized: setup  ## C++ tests under AddressSanitizer and UndefinedBehavior
 	    -DHAPTICLOD_SANITIZE=address,undefined >$(SANITIZED).log 2>&1 || { cat $(SANITIZED).log; exit 1; }
 	@cmake --build $(SANITIZED)
 	@ctest --test-dir $(SANITIZED) --output-on-failure --no-tests=error -j 2
+
+THREADED := station_telemetry_test station_hid_faults_test station_loop_test
+test-threads: setup  ## loop, writer, telemetry under ThreadSanitizer
+	@mkdir -p build
+	@cmake -S . -B build/threads $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
+	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) -DHAPTICLOD_SANITIZE=thread >build/threads.log 2>&1 || { cat build/threads.log; exit 1; }
+	@cmake --build build/threads --target $(THREADED)
+	@for test in $(THREADED); do build/threads/tests/$$test --gtest_brief=1 || exit 1; done
 
 test-python: build  ## Python tests
 	@$(BIN)/python -m pytest -q -n auto --dist worksteal
@@ -69,6 +78,9 @@ bench: build  ## what a tick costs on 2.6 M triangles, against goals: some minut
 
 bench-quick: build  ## the same on 100 k triangles
 	@$(BIN)/python -m benchmarks.contact_table --quick
+
+bench-station: product  ## wake-ups and computing of the loop apart, on the demo's bundle or BUNDLE=file [SECONDS_EACH=20]
+	@$(BIN)/python -m benchmarks.bench_station $(if $(BUNDLE),--bundle="$(BUNDLE)") $(if $(SECONDS_EACH),--seconds="$(SECONDS_EACH)")
 
 TICKS ?= 100000000
 soak: build  ## random motions against the invariants of contact: TICKS=1e8, or make soak TICKS=1e6

@@ -84,7 +84,9 @@ def test_device_that_cannot_be_read(tmp_path: Path, errno: str, expected: str) -
             command, env=shim_environment(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             cwd=Path(__file__).resolve().parent.parent,
         )  # fmt: skip
-        if not errno:
+        if errno:
+            process.wait(timeout=60)
+        else:
             assert process.stdout is not None
             process.stdout.read(1)  # it watches
     _, err = process.communicate(timeout=60)

@@ -146,8 +146,9 @@ def test_run_follows_a_given_motion(bundle_path: Path, tmp_path: Path) -> None:
     said = last_line(run_station("run", bundle_path, *words).stdout)
     assert said["contact_share"] == 0
     assert said["max_force_n"] == 0
-    # 1 mm/s, eased in over 0.2 s: 0.9 mm in the first second
-    assert said["levels"][0]["mean_speed_mm_s"] == pytest.approx(0.9, rel=0.05)
+    # 1 mm/s, eased in over 0.2 s: 0.9 mm in the first second, less what the device's friction (0.05 N) stretches the
+    # hand's spring (0.5 N/mm)
+    assert said["levels"][0]["mean_speed_mm_s"] == pytest.approx(0.8, rel=0.05)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -18,6 +18,9 @@ int command_replay(Words words);
 int command_inspect(Words words);
 int command_devices(Words words);
 int command_status(Words words);
+int command_doctor(Words words);
+int command_qualify(Words words);
+int command_calibrate(Words words);
 
 // Prints the fault's line to stderr; returns kExitBadInput.
 int refuse(const Fault& fault);

@@ -31,6 +31,12 @@ constexpr const char* kHelp =
     "      What a running station does, from its shared memory.\n"
     "  devices [--profile FILE] [--json]\n"
     "      The HID devices that are there, and the profiles that know them; checks a profile.\n"
+    "  doctor [--json]\n"
+    "      What on this machine stands in a loop's way, each with its remedy.\n"
+    "  calibrate -o STATION.toml [--device NAME] [--rate HZ] [--name TEXT] [--cpu N] [--quick]\n"
+    "      Measures this machine for hapticlod tune --station: what work costs, wake-ups, caches. Some 10 s.\n"
+    "  qualify BUNDLE [-o CERTIFICATE.json] [--tolerance-n N] [--cpu N] [--json]\n"
+    "      Replays the golden motion here: forces as recorded, p99.9 within the budget? Status 0 passed, 1 failed.\n"
     "  replay BUNDLE MOTION.csv OUT.csv\n"
     "      Renders a motion (t_s,x_mm,y_mm,z_mm[,qw,qx,qy,qz]) offline and writes what every tick gave.\n"
     "  inspect BUNDLE [--json]\n"
@@ -44,8 +50,9 @@ struct Command {
     int (*run)(Words);
 };
 constexpr Command kCommands[] = {
-    {"run", command_run},         {"replay", command_replay}, {"inspect", command_inspect},
-    {"devices", command_devices}, {"status", command_status},
+    {"run", command_run},         {"replay", command_replay},       {"inspect", command_inspect},
+    {"devices", command_devices}, {"status", command_status},       {"doctor", command_doctor},
+    {"qualify", command_qualify}, {"calibrate", command_calibrate},
 };
 
 }  // namespace
