@@ -22,7 +22,8 @@ TomlNode converted(const toml::node& node, toml::source_position at) {
             // A key of a dotted or implicit table may have no place of its own.
             toml::source_position place = key.source().begin ? key.source().begin : value.source().begin;
             if (!place) place = at;
-            out.entries.emplace_back(std::string(key.str()), converted(value, place));
+            out.keys.emplace_back(key.str());
+            out.items.push_back(converted(value, place));
         }
     } else if (const toml::array* array = node.as_array()) {
         out.kind = TomlNode::Kind::array;
@@ -51,8 +52,8 @@ TomlNode converted(const toml::node& node, toml::source_position at) {
 }  // namespace
 
 const TomlNode* TomlNode::find(std::string_view key) const {
-    for (const auto& [name, node] : entries) {
-        if (name == key) return &node;
+    for (std::size_t i = 0; i < keys.size(); ++i) {
+        if (keys[i] == key) return &items[i];
     }
     return nullptr;
 }

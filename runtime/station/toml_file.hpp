@@ -3,7 +3,6 @@
 #include <cstdint>
 #include <string>
 #include <string_view>
-#include <utility>
 #include <vector>
 
 #include "io/result.hpp"
@@ -17,9 +16,9 @@ struct TomlNode {
     double number = 0.0;       // number, and integer
     std::int64_t integer = 0;  // integer
     bool boolean = false;
-    std::vector<TomlNode> items;                            // array
-    std::vector<std::pair<std::string, TomlNode>> entries;  // table
-    unsigned line = 1, column = 1;                          // of the key, or of the item
+    std::vector<TomlNode> items;    // array, or the values of a table
+    std::vector<std::string> keys;  // table: one per item
+    unsigned line = 1, column = 1;  // of the key, or of the item
 
     [[nodiscard]] const TomlNode* find(std::string_view key) const;
 };

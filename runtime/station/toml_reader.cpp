@@ -139,15 +139,10 @@ std::vector<TomlReader> TomlReader::tables(std::string_view key) {
     return readers;
 }
 
-std::vector<std::string> TomlReader::keys() const {
-    std::vector<std::string> names;
-    for (const auto& [name, node] : table_->entries) names.push_back(name);
-    return names;
-}
-
 void TomlReader::finish() {
-    for (const auto& [name, node] : table_->entries) {
-        if (!asked_.contains(name)) add(node, name, "unknown key");
+    for (std::size_t i = 0; i < table_->keys.size(); ++i) {
+        const std::string& name = table_->keys[i];
+        if (!asked_.contains(name)) add(table_->items[i], name, "unknown key");
     }
 }
 

@@ -39,7 +39,7 @@ public:
     [[nodiscard]] TomlReader table(std::string_view key, bool required = true);
     // An array of tables; empty where there is none.
     [[nodiscard]] std::vector<TomlReader> tables(std::string_view key);
-    [[nodiscard]] std::vector<std::string> keys() const;
+    [[nodiscard]] const std::vector<std::string>& keys() const { return table_->keys; }
 
     // A fault of a key's value (or of the whole table, where there is no such key).
     void fault(std::string_view key, const std::string& message);
