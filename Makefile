@@ -14,7 +14,8 @@ CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
 
-.PHONY: help setup configure build product test test-cpp test-sanitized test-threads test-python lint format demo bench \
+.PHONY: help setup configure build product test test-cpp test-sanitized test-threads test-hidraw-vm \
+    test-python lint format demo bench \
     bench-quick bench-station soak \
     evaluate-surrogate bench-tuners clean
 
@@ -36,7 +37,7 @@ build: configure  ## the station, the Python module, tests and benchmarks
 product: configure  ## the station and the Python module alone
 	@cmake --build $(RELEASE) --target hapticlod-station _runtime _runtime_stub
 
-test: lint test-cpp test-sanitized test-threads test-python  ## everything CI runs
+test: lint test-cpp test-sanitized test-python  ## everything CI runs
 
 test-cpp: build  ## C++ tests, release build
 	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error -j 2
@@ -56,6 +57,9 @@ test-threads: setup  ## loop, writer, telemetry under ThreadSanitizer
 	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) -DHAPTICLOD_SANITIZE=thread >build/threads.log 2>&1 || { cat build/threads.log; exit 1; }
 	@cmake --build build/threads --target $(THREADED)
 	@for test in $(THREADED); do build/threads/tests/$$test --gtest_brief=1 || exit 1; done
+
+test-hidraw-vm: build  ## the station against a real kernel's hidraw in QEMU; skipped with one line where it cannot be had
+	@scripts/test_hidraw_vm || [ $$? = 77 ]
 
 test-python: build  ## Python tests
 	@$(BIN)/python -m pytest -q -n auto --dist worksteal
