@@ -282,6 +282,9 @@ class DeviceProfile(TomlModel):
             raise fault_at("output", "rate kinematics are for devices without motors")
         if self.output is not None and getattr(self.output.fields, sent) is None:
             raise fault_at("output", f"{kind} kinematics need a field {sent}")
+        mirrored = self.kinematics is not None and np.linalg.det(np.array(self.kinematics.axes)) < 0
+        if mirrored and self._has("orientation"):
+            raise fault_at("kinematics", "axes that mirror cannot turn an orientation")
         if self.status_bits is not None and not self._has("status"):
             raise fault_at("status_bits", "no input has a field status")
         ids = [report.report_id for report in self.input]

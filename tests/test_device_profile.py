@@ -17,6 +17,8 @@ NATIVE = shipped_config("devices/native.toml").read_text()
 WOODEN = shipped_config("devices/woodenhaptics_8.toml").read_text()
 SPACE = shipped_config("devices/spacenavigator.toml").read_text()
 
+TURNING = NATIVE.replace("echo_seq = {", 'orientation = { offset = 40, type = "f32", count = 4 }\necho_seq = {')
+
 # What is changed, and the field that both must name.
 WRONG = [
     (NATIVE, 'type = "u32" }   ', 'type = "u64" }   ', "input.0.fields.seq.type"),
@@ -31,6 +33,7 @@ WRONG = [
     (NATIVE, "product_id = 0x0001\n", "", "device.match.product_id"),
     (NATIVE, 'kind = "cartesian"', 'kind = "polar"', "kinematics.kind"),
     (NATIVE, "[1, 0, 0], [0, 1, 0]", "[1, 0, 0], [1, 1, 0]", "kinematics.axes"),
+    (TURNING, "[1, 0, 0], [0, 1, 0]", "[-1, 0, 0], [0, 1, 0]", "kinematics"),
     (NATIVE, "max_force_n = 5.0\n", "", "limits.max_force_n"),
     (NATIVE, "max_force_n = 5.0", "max_force_n = nan", "limits.max_force_n"),
     (NATIVE, "damping_n_s_mm = 0.002", "", "limits.damping_n_s_mm"),

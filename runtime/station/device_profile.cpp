@@ -242,6 +242,12 @@ void check_whole(const DeviceProfile& profile, TomlReader& root) {
         if (!given(FieldName::deflection)) root.fault("input", "rate kinematics need a field deflection");
         if (motors) root.fault("output", "rate kinematics are for devices without motors");
     }
+    const std::array<double, 9>& m = profile.kinematics.axes;
+    const double handed =
+        m[0] * (m[4] * m[8] - m[5] * m[7]) - m[1] * (m[3] * m[8] - m[5] * m[6]) + m[2] * (m[3] * m[7] - m[4] * m[6]);
+    if (handed < 0.0 && given(FieldName::orientation)) {
+        root.fault("kinematics", "axes that mirror cannot turn an orientation");
+    }
     if (root.has("status_bits") && !given(FieldName::status)) root.fault("status_bits", "no input has a field status");
     for (std::size_t i = 0; i < profile.inputs.size(); ++i) {
         for (std::size_t j = 0; j < i; ++j) {
