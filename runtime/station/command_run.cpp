@@ -10,6 +10,7 @@
 #include <thread>
 
 #include "io/bundle.hpp"
+#include "station/bundle_trust.hpp"
 #include "station/commands.hpp"
 #include "station/loop.hpp"
 #include "station/open_device.hpp"
@@ -92,10 +93,11 @@ bool confirmed(const std::atomic<bool>& stop) {
 }  // namespace
 
 int command_run(Words words) {
-    const auto parsed = Arguments::parse(words, {{"BUNDLE"},
-                                                 {"--device", "--path", "--serial", "--centre-mm", "--seconds",
-                                                  "--motion", "--cpu", "--record", "--flight", "--passivity-damping"},
-                                                 {"--json", "--virtual-time", "--accept-no-watchdog", "--reconnect"}});
+    const auto parsed = Arguments::parse(
+        words, {{"BUNDLE"},
+                {"--device", "--path", "--serial", "--centre-mm", "--seconds", "--motion", "--cpu", "--record",
+                 "--flight", "--passivity-damping", "--trusted-keys"},
+                {"--json", "--virtual-time", "--accept-no-watchdog", "--reconnect", "--accept-unsigned"}});
     if (!parsed) return refuse(parsed.fault());
     const Arguments& arguments = parsed.value();
     const auto seconds = arguments.number("--seconds", 0.0, 1e-3, 1e7);
@@ -111,6 +113,8 @@ int command_run(Words words) {
     const auto bundle_opened = Bundle::open(arguments.positional(0));
     if (!bundle_opened) return refuse(bundle_opened.fault());
     const Bundle& bundle = bundle_opened.value();
+    const auto trust = require_trust(bundle, arguments);
+    if (!trust) return refuse(trust.fault());
     auto chosen = choose_device(arguments, bundle);
     if (!chosen) return refuse(chosen.fault());
     DeviceChoice& choice = chosen.value();
@@ -183,6 +187,7 @@ int command_run(Words words) {
     }
 
     const RunReport report{bundle.path(),
+                           trust.value(),
                            arguments.option("--motion").value_or(choice.profile.simulated ? "golden motion" : "hand"),
                            traits,
                            config,

@@ -21,6 +21,7 @@ int command_status(Words words);
 int command_doctor(Words words);
 int command_qualify(Words words);
 int command_calibrate(Words words);
+int command_verify(Words words);
 
 // Prints the fault's line to stderr; returns kExitBadInput.
 int refuse(const Fault& fault);

@@ -27,6 +27,8 @@ constexpr const char* kHelp =
     "        --reconnect            after it went away: wait for it, and arm it again on Enter\n"
     "      --passivity-damping B    let the passivity controller add up to B N s/mm; else it only observes\n"
     "      --record FILE.mcap       record every tick;  --flight FOLDER  where the last 10 s go after a fault\n"
+    "      Bundles must be signed by a key of /etc/hapticlod/trusted_keys or ~/.config/hapticlod/trusted_keys.\n"
+    "      --trusted-keys FILE: by one of these. --accept-unsigned: run others too, and mark the report.\n"
     "  status [--pid N] [--once] [--json]\n"
     "      What a running station does, from its shared memory.\n"
     "  devices [--profile FILE] [--json]\n"
@@ -41,6 +43,8 @@ constexpr const char* kHelp =
     "      Renders a motion (t_s,x_mm,y_mm,z_mm[,qw,qx,qy,qz]) offline and writes what every tick gave.\n"
     "  inspect BUNDLE [--json]\n"
     "      Checks a bundle and says what it holds.\n"
+    "  verify BUNDLE [--trusted-keys FILE] [--accept-unsigned]\n"
+    "      Checks a bundle, and whether this station trusts who signed it.\n"
     "  --help, --version\n"
     "\n"
     "Exit status: 0 fine, 1 the safety core stopped the run, 2 bad input.\n";
@@ -52,7 +56,7 @@ struct Command {
 constexpr Command kCommands[] = {
     {"run", command_run},         {"replay", command_replay},       {"inspect", command_inspect},
     {"devices", command_devices}, {"status", command_status},       {"doctor", command_doctor},
-    {"qualify", command_qualify}, {"calibrate", command_calibrate},
+    {"qualify", command_qualify}, {"calibrate", command_calibrate}, {"verify", command_verify},
 };
 
 }  // namespace
