@@ -1,4 +1,4 @@
-// HID devices by hidapi (hidraw). The only file that sees hidapi.
+// HID devices by hidapi (hidraw). hid_api.cpp is the only file that sees it.
 #pragma once
 #include <cstdint>
 #include <memory>
