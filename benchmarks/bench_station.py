@@ -52,7 +52,17 @@ def make_bundle(path: Path, loop_hz: float) -> None:
 def run(bundle: Path, seconds: float) -> dict[str, Any]:
     """What the station says at the end of a run."""
     program = Path(sys.executable).parent / "hapticlod-station"
-    command = [str(program), "run", str(bundle), "--device", "sim", "--seconds", str(seconds), "--json"]
+    command = [
+        str(program),
+        "run",
+        str(bundle),
+        "--device",
+        "sim",
+        "--seconds",
+        str(seconds),
+        "--json",
+        "--accept-unsigned",
+    ]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     sys.stderr.write(result.stderr)
     if result.returncode not in (0, 1):
