@@ -47,6 +47,7 @@ def document(result: TuneResult) -> dict[str, Any]:
         "feasible": result.feasible["tuned"],
         "predicted": _numbers(result.predicted),
         "measured": _numbers(result.measured),
+        "clock": _numbers(result.clock),
         "baselines": baselines,
         "stages_s": {name: round(seconds, 3) for name, seconds in result.stages_s.items()},
         "population": result.population,

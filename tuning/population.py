@@ -43,7 +43,7 @@ def measured_each(verifier: Verifier, config: LodConfig) -> list[dict[str, float
     key = kept.key_of("each", verifier.key, config.changed(name="").model_dump_json())
     found = kept.load("each", key) if verifier.key else None
     if found is None:
-        pairs = zip(verifier.records(config, 1), verifier.reference(), strict=True)
+        pairs = zip(verifier.records(config), verifier.reference(), strict=True)
         found = [measure(record, reference) for record, reference in pairs]
         if verifier.key:
             kept.store("each", key, found)

@@ -178,7 +178,7 @@ def predict_members(
         "loop_cost_p999_us": limit_us,
         "loop_cost_max_us": cost_us[2],
         "deadline_miss_rate": costs.share_over(budget_us, spread),
-        "longest_miss_run": longest_run(samples, windows, measured.cost.sizes, budget_us, spread),
+        "longest_miss_run": longest_run(samples, windows, measured.cost, measured.ticks // windows.shape[1], budget_us),
         "force_error_rms_n": jnp.sqrt(jnp.maximum(force, 0.0) / either + 1e-14),
         "force_error_p99_n": peak_n[0],
         "force_error_max_n": peak_n[1],
