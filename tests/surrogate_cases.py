@@ -9,6 +9,7 @@ from hapticlod.perception import load_perception
 from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_samples
 from hapticlod.surrogate.ladder_curves import ladder_curves
 from hapticlod.surrogate.measurement import Feel, Instants, LadderMeasurement
+from hapticlod.surrogate.traps import Traps
 from tuning.space import Space
 
 RUNGS, SUBSETS, CELLS = 4, 2, 3
@@ -89,6 +90,11 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
         felt_bins=jnp.arange(BINS),
         cycle=jnp.asarray(np.repeat(np.arange(BINS // 20) % 4, 20)),
         feel=feel,
+        traps=Traps(
+            jnp.asarray(random.uniform(0, 3, (RUNGS, SUBSETS, INSTANTS)) * coarse),
+            jnp.asarray(random.uniform(0, 0.1, (RUNGS, SUBSETS, INSTANTS)) * coarse),
+            jnp.asarray(random.uniform(size=(RUNGS, SUBSETS, INSTANTS)) < 0.2),
+        ),
         instants=instants,
         cost=cost,
         log_bytes=curves(np.log(1e7 / np.exp(coarseness))[:, None, None] * np.ones((RUNGS, SUBSETS, CELLS))),

@@ -13,9 +13,11 @@ from scipy.signal import lfilter
 from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_samples
 from hapticlod.surrogate.ladder_curves import LadderCurves, ladder_curves
 from hapticlod.surrogate.measurement import Feel, Instants, LadderMeasurement
+from hapticlod.surrogate.traps import Traps
 from tuning.grid import Clock, Grid
 from tuning.level_fields import WINDOWS_S, Reference
 from tuning.replays import Tour
+from tuning.split_traps import split_traps
 
 Array = NDArray[np.float64]
 
@@ -83,7 +85,8 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
     def curves(values: Array) -> LadderCurves:
         return ladder_curves(coarseness, values)
 
-    feel = Feel(**{name: curves(data.fields[name]) for name in Feel.__dataclass_fields__})
+    fields, traps = _without_traps(data)
+    feel = Feel(**{name: curves(fields[name]) for name in Feel.__dataclass_fields__})
     cycle = felt.binned(reference.cycle)[:, -1]
     tick_s = 1.0 / clock.loop_hz
     log_bytes = np.log(data.level_bytes)[:, None, None] + _cell_bytes(data)[:, None, :]
@@ -98,6 +101,7 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
         felt_bins=jnp.asarray(_felt_bins(clock, felt)),
         cycle=jnp.asarray(cycle),
         feel=feel,
+        traps=traps,
         instants=_instants(data, stiffness_n_mm),
         cost=_cost_model(data, curves),
         log_bytes=curves(log_bytes),
@@ -136,6 +140,25 @@ def _instants(data: LadderData, stiffness_n_mm: float) -> Instants:
         felt_per_n2=jnp.asarray(mean(reference.felt_per_n2)),
         ticks=jnp.asarray(float(per)),
     )
+
+
+def _without_traps(data: LadderData) -> tuple[dict[str, Array], Traps]:
+    """The fields without what rungs owe to their past, and that."""
+    clock, reference = data.felt_clock, data.reference
+    bins, per = clock.bins_per_instant, clock.ticks_per_instant
+    at = np.arange(per - 1, clock.ticks, per)
+
+    def instants(values: Array) -> Array:
+        return values.reshape(*values.shape[:-1], -1, bins).mean(axis=-1)
+
+    felt, force_sq = instants(data.fields["felt"]), instants(data.fields["force_sq"])
+    fresh = np.einsum("rbik,rbik->rbi", data.tour.offset_n, data.tour.offset_n) * reference.felt_per_n2[at]
+    excess, begins = split_traps(felt, fresh, clock.marks(per))
+    share = excess / np.maximum(felt, 1e-12)
+    left = 1.0 - np.repeat(share, bins, axis=-1)
+    cleared = {name: data.fields[name] * left for name in ("felt", "force_sq")}
+    traps = Traps(jnp.asarray(excess), jnp.asarray(force_sq * share), jnp.asarray(begins))
+    return {**data.fields, **cleared}, traps
 
 
 def _felt_bins(clock: Clock, felt: Clock) -> NDArray[np.intp]:

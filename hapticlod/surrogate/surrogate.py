@@ -17,6 +17,7 @@ from hapticlod.surrogate.measurement import LadderMeasurement
 from hapticlod.surrogate.parameters import Parameters
 from hapticlod.surrogate.quantile import smooth_max, smooth_quantile, smooth_quantiles
 from hapticlod.surrogate.switching import Switching, affine_scan, filtered_speed_mm_s, soft_switching
+from hapticlod.surrogate.traps import trapped
 
 # Sigmoids are eta / SHARPNESS wide in ln speed: sharp enough to count switches to a per cent.
 SHARPNESS = 20.0
@@ -126,7 +127,14 @@ def predict_members(
 
     feel = measured.feel
     hand_mm_s = grouped(grouped(speed, ticks_per_bin)[measured.felt_bins], bins_per_instant) / per_instant
-    felt_mix, force_mix = mixed(feel.felt), mixed(feel.force_sq)
+    caught = trapped(
+        measured.traps, where, grouped(weights, bins_per_instant) / bins_per_instant, grouped(up, bins_per_instant),
+        grouped(down, bins_per_instant), instants.starts,
+    )  # fmt: skip
+    felt_mix, force_mix = (
+        mixed(own) + jnp.repeat(past, bins_per_instant)
+        for own, past in zip((feel.felt, feel.force_sq), caught, strict=True)
+    )
     either_mix = mixed(feel.either)
     either = jnp.maximum(total(either_mix), 1.0)
     both = jnp.maximum(total(mixed(feel.both)), 1.0)
