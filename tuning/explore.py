@@ -15,10 +15,13 @@ from tuning.search import Found, Limits, Search
 from tuning.sensitivity import Optimum
 from tuning.verify import Verifier
 
-ROUNDS = 4
-RESCUES = 4  # further rounds while nothing that was measured holds the budget
-LEADERS = 2  # level counts that are looked at again when prediction and measurement differ
+ROUNDS = 3  # measurements of one level count
+RESCUES = 5  # further ones while nothing that was measured holds the budget
 AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
+# A level count is not measured if it could not win even were it better than predicted by this factor.
+HOPE = 0.7
+# How much less is asked for, at least, after one measurement over the budget, and after several in a row.
+LESS, MUCH_LESS = 0.95, 0.7
 
 Judge = Callable[[LodConfig, dict[str, float]], float]
 
@@ -49,16 +52,15 @@ def explore(
     search: Search, verifier: Verifier, ready: Prepared, station: Station, counts: Sequence[int], seed: int,
     stages: Stages, judged: Judge, near: Mapping[int, NDArray[np.float64]] | None = None,
 ) -> list[Candidate]:  # fmt: skip
-    """The best of every level count, measured; then the leaders again, with the surrogate's budget corrected.
+    """The best of every level count that may win, measured, and searched again while its cost was predicted wrong.
 
-    `near`: by level count, where to begin.
+    The most promising level count comes first; by how much its cost was mispredicted is where the next one begins.
+    `near`: by level count, where to begin the search.
     """
     made: list[Candidate] = []
-    warm: dict[int, NDArray[np.float64]] = {}
 
-    def verified(count: int, found: Found, limits: Limits) -> Candidate:
-        stages("verify in the runtime", len(made) / (len(counts) + LEADERS))
-        warm[count] = found.x
+    def measured(count: int, found: Found, limits: Limits) -> Candidate:
+        stages("verify in the runtime", len(made) / (len(counts) * ROUNDS))
         config = ready.space.config(found.x, count, f"{count} levels")
         metrics = verifier.measured(config)
         optimum = Optimum(found.x, count, limits)
@@ -67,39 +69,64 @@ def explore(
         )
         return made[-1]
 
+    def best() -> float:
+        return min((c.objective for c in made if c.feasible), default=np.inf)
+
     stages("optimise", 0.0)
-    whole = limits_of(station, 1.0)
-    every = search.best_of_each(counts, whole, seed, near or {})
-    latest = {count: verified(count, found, whole) for count, found in every.items()}
-    used = dict.fromkeys(latest, 1.0)
-    for turn in range(1, ROUNDS + RESCUES):
-        rescuing = not any(candidate.feasible for candidate in made)
-        if turn >= ROUNDS and not rescuing:
-            break
-        corrections = {count: _correction(latest[count], station) for count in latest}
-        wrong = [count for count in latest if corrections[count] is not None]
-        # Those that could still win: the best by what was measured, whether or not they held the budget. While none
-        # did, those that came nearest to holding it.
-        for count in sorted(wrong, key=lambda k: cost_us(latest[k]) if rescuing else latest[k].objective)[:LEADERS]:
-            stages("optimise", len(made) / (len(counts) + LEADERS))
-            correction = float(corrections[count] or 1.0)
-            if not latest[count].feasible:
-                correction = min(correction, 0.7 * used[count])  # what was asked for last time was too much
-            used[count] = correction
-            limits = limits_of(station, correction)
-            latest[count] = verified(count, search.best(count, limits, seed + turn, warm[count]), limits)
+    every = search.best_of_each(counts, limits_of(station, 1.0), seed, near or {})
+    correction = 1.0
+    for count in sorted(counts, key=lambda k: every[k].rank):
+        if HOPE * every[count].objective > best():
+            continue
+        found, asked = every[count], Correction(1.0)
+        if abs(np.log(correction)) > AGREE:
+            stages("optimise", len(made) / (len(counts) * ROUNDS))
+            asked = Correction(correction)
+            found = search.best(count, limits_of(station, correction), seed, found.x)
+        for turn in range(ROUNDS + RESCUES):
+            candidate = measured(count, found, limits_of(station, asked.value))
+            more = asked.corrected(candidate, station)
+            if not more or turn + 1 >= ROUNDS + (0 if np.isfinite(best()) else RESCUES):
+                break
+            stages("optimise", len(made) / (len(counts) * ROUNDS))
+            found = search.best(count, limits_of(station, asked.value), seed + turn + 1, found.x)
+        correction = asked.value
     return made
 
 
-def _correction(candidate: Candidate, station: Station) -> float | None:
-    """What the surrogate's budget must be multiplied by so that the measured cost meets it; None: they agree."""
-    predicted, measured = candidate.predicted["loop_cost_p999_us"], cost_us(candidate)
-    apart = measured / station.budget_us
-    if candidate.feasible and apart > 1.0 - 2 * AGREE:
-        return None  # as near to the budget as makes sense
-    if candidate.feasible and predicted < (1.0 - 2 * AGREE) * station.budget_us:
-        return None  # the budget does not bind
-    return float(np.clip(predicted / measured, 0.1, 2.0))
+@dataclass
+class Correction:
+    """What the surrogate's budget is multiplied by so that the measured cost meets the station's.
+
+    Attributes:
+        value: that is in use. held, broke: the largest that was measured within the budget, the least that was not.
+        misses: measurements over the budget in a row.
+    """
+
+    value: float
+    held: float = 0.0
+    broke: float = np.inf
+    misses: int = 0
+
+    def corrected(self, candidate: Candidate, station: Station) -> bool:
+        """Takes a measurement in. False: it is as near to the budget as makes sense, or the budget does not bind."""
+        ratio = candidate.predicted["loop_cost_p999_us"] / cost_us(candidate)
+        if candidate.feasible:
+            self.held, self.misses = max(self.held, self.value), 0
+            if cost_us(candidate) > (1.0 - 2 * AGREE) * station.budget_us:
+                return False
+            if candidate.predicted["loop_cost_p999_us"] < (1.0 - 2 * AGREE) * self.value * station.budget_us:
+                return False
+            wanted = max(ratio, self.value / LESS)
+        else:
+            self.broke, self.misses = min(self.broke, self.value), self.misses + 1
+            wanted = min(ratio, (LESS if self.misses == 1 else MUCH_LESS) * self.value)
+        if self.held > 0.0 and self.broke < np.inf:
+            if self.broke < (1.0 + AGREE) * self.held:
+                return False
+            wanted = float(np.sqrt(self.held * self.broke))
+        self.value = float(np.clip(wanted, 0.03, 3.0))
+        return True
 
 
 def limits_of(station: Station, correction: float) -> Limits:

@@ -31,6 +31,7 @@ from tuning.verify import Verifier
 # How often the search goes on with a smaller budget because the clock says more than the counters, and how many
 # configurations that hold the budget by their counters are asked of the clock each time.
 CLOCK_ROUNDS, ASKED = 3, 2
+SHOWN_S = 8.0  # what a baseline that cannot be chosen may cost to measure, s of loop cost
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class TuneResult:
         predicted, measured: its metrics by the surrogate, and in the runtime on motions kept apart.
         clock: what the clock said of its loop cost, us: mean and quantiles of each tick's least time over `runs`.
         baselines: by name, measured alike: "finest only", "coarsest only", "the paper's".
+        ticks: by name ("tuned" and the baselines), how many the measurement rests on.
         feasible: by name ("tuned" and the baselines), whether budget and memory hold.
         candidates: everything that was measured, best first.
         stages_s: seconds per stage.
@@ -56,6 +58,7 @@ class TuneResult:
     measured: dict[str, float]
     clock: dict[str, float]
     baselines: dict[str, dict[str, float]]
+    ticks: dict[str, int]
     feasible: dict[str, bool]
     candidates: tuple[Candidate, ...]
     stages_s: dict[str, float]
@@ -110,7 +113,7 @@ def tune(
         return pooled - together + measured_over(felt, over)
 
     counts = [k for k in range(levels[0], levels[1] + 1) if ready.space.fits(k)] or [1]
-    baselines, candidates = _baselines(ready, verifier, tool, station, judged, stages)
+    baselines, ticks, candidates = _baselines(ready, verifier, tool, station, judged, stages)
     clock, found = Clock(verifier, station), None
     near: dict[int, NDArray[np.float64]] = {}
     for left in reversed(range(CLOCK_ROUNDS)):
@@ -140,6 +143,7 @@ def tune(
         measured=chosen.measured,
         clock=said,
         baselines=baselines,
+        ticks={**ticks, "tuned": sum(motion.ticks for motion in ready.apart)},
         feasible=feasible,
         candidates=tuple(ranked),
         stages_s=stages.seconds,
@@ -162,18 +166,22 @@ def _population(over: str, verifier: Verifier, config: LodConfig) -> dict[str, A
 
 def _baselines(
     ready: Prepared, verifier: Verifier, tool: Tool, station: Station, judged: Judge, stages: Stages
-) -> tuple[dict[str, dict[str, float]], list[Candidate]]:
-    """By name, what was measured of each; and those that are candidates like any other: one level alone."""
+) -> tuple[dict[str, dict[str, float]], dict[str, int], list[Candidate]]:
+    """By name, what was measured of each and on how many ticks; and those that are candidates, too: one level alone."""
     stages("measure the baselines", 0.0)
     measured: dict[str, dict[str, float]] = {}
+    ticks: dict[str, int] = {}
     alone: list[Candidate] = []
     fixed = baseline_configs(ready.ladder, tool)
     for i, config in enumerate(fixed):
-        found = measured[config.name] = verifier.measured(config)
-        if len(config.levels) == 1:
+        candidate = len(config.levels) == 1
+        judge = verifier if candidate else verifier.affordable(config, SHOWN_S)
+        ticks[config.name] = sum(motion.ticks for motion in judge.motions)
+        found = measured[config.name] = judge.measured(config)
+        if candidate:
             alone.append(Candidate(config, {}, found, judged(config, found), holds(found, station)))
         stages("measure the baselines", (i + 1) / len(fixed))
-    return measured, alone
+    return measured, ticks, alone
 
 
 def _nothing_fits(candidates: list[Candidate], station: Station, ratio: float) -> InputError:

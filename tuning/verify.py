@@ -64,15 +64,12 @@ class Verifier:
     runs: int = 0
     _reference: list[Record] = field(default_factory=list)
 
-    def records(self, config: LodConfig, motions: Sequence[Motion] | None = None) -> list[Record]:
-        """One record per motion; costs as on the station, by counters. `motions`: instead of the verifier's."""
-        return [record for record, _ in self._runs(config, motions)]
+    def records(self, config: LodConfig) -> list[Record]:
+        """One record per motion; costs as on the station, by counters."""
+        return self.runs_of(config)[0]
 
-    def _runs(
-        self, config: LodConfig, motions: Sequence[Motion] | None = None
-    ) -> list[tuple[Record, NDArray[np.float32]]]:
-        """Records, and what the clock said of their ticks, us."""
-        chosen = self.motions if motions is None else motions
+    def runs_of(self, config: LodConfig) -> tuple[list[Record], tuple[NDArray[np.float32], ...]]:
+        """Records, one per motion, and what the clock said of their ticks, us."""
         origin = self.ladder.scan.centre_mm
         levels = [runtime_level(self.ladder.at(level.triangles), origin, level.cell_mm) for level in config.levels]
 
@@ -88,7 +85,8 @@ class Verifier:
             return replace(record, rows=rows, slowdown=1.0), (1e-3 * clock_ns).astype(np.float32)
 
         with ThreadPoolExecutor(threads()) as pool:
-            return list(pool.map(one, chosen))
+            made = list(pool.map(one, self.motions))
+        return [record for record, _ in made], tuple(clock for _, clock in made)
 
     def reference(self) -> list[Record]:
         """The finest level's records, one per motion."""
@@ -114,17 +112,41 @@ class Verifier:
         found = kept.load("measured", asked) if self.key else None
         if found is None:
             self.runs += 1
-            runs = self._runs(config)
-            records = [record for record, _ in runs]
+            records, clock = self.runs_of(config)
             if config.changed(name="") == finest_only(self.ladder, self.tool).changed(name=""):
                 self._reference = records
                 if self.key:
                     kept.store("reference", kept.key_of("reference", self.key), records)
             counted = tuple(record.cost_us.astype(np.float32) for record in records)
-            found = Measured(measure(records, self.reference()), counted, tuple(clock for _, clock in runs))
+            found = Measured(measure(records, self.reference()), counted, clock)
             if self.key:
                 kept.store("measured", asked, found)
         return found
+
+    def first(self, seconds: float) -> Verifier:
+        """A verifier of the first so many seconds of every motion."""
+        cut = [motion.part(0.0, min(seconds, motion.seconds)) for motion in self.motions]
+        reference = [
+            replace(record, rows=record.rows[: motion.ticks])
+            for record, motion in zip(self.reference(), cut, strict=True)
+        ]
+        key = f"{self.key} first {seconds!r} s" if self.key else ""
+        return Verifier(self.ladder, self.tool, self.station, cut, self.costing, key, 0, reference)
+
+    def affordable(self, config: LodConfig, most_s: float) -> Verifier:
+        """This verifier, or one of shorter motions on which a configuration costs no more than about so many seconds.
+
+        For what is measured only to be shown beside the answer, and may cost a hundred times what the answer does.
+        """
+        longest = max(motion.seconds for motion in self.motions)
+        seconds = min(1.0, longest)
+        pilot = self.first(seconds)
+        costs_s = 1e-6 * sum(float(cost.sum()) for cost in pilot.run(config).counted_us)
+        if costs_s * longest / seconds <= most_s:
+            return self
+        while 2 * seconds * costs_s <= most_s and 2 * seconds < longest:
+            seconds *= 2
+        return self.first(seconds)
 
     def clocked(self, config: LodConfig, within_us: float = 0.0) -> dict[str, float]:
         """What the clock says of the loop cost: mean and quantiles, us, of a tick's least time over some runs.
@@ -134,16 +156,17 @@ class Verifier:
         asked = kept.key_of("clocked", self.key, config.changed(name="").model_dump_json())
         found = kept.load("clocked", asked) if self.key else None
         runs, least = found or (1, self.run(config).clock_us)
-        while runs < CLOCK_RUNS and _clock_metrics(least)["loop_cost_p999_us"] > within_us:
-            again = self._runs(config)
-            least = tuple(np.minimum(a, b) for a, (_, b) in zip(least, again, strict=True))
+        while runs < CLOCK_RUNS and clock_metrics(least)["loop_cost_p999_us"] > within_us:
+            _, again = self.runs_of(config)
+            least = tuple(np.minimum(a, b) for a, b in zip(least, again, strict=True))
             runs += 1
             if self.key:
                 kept.store("clocked", asked, (runs, least))
-        return {**_clock_metrics(least), "runs": float(runs)}
+        return {**clock_metrics(least), "runs": float(runs)}
 
 
-def _clock_metrics(costs_us: Sequence[NDArray]) -> dict[str, float]:
+def clock_metrics(costs_us: Sequence[NDArray]) -> dict[str, float]:
+    """Mean and quantiles of the loop cost, us, from (T,) times of every motion."""
     every = np.concatenate(costs_us).astype(np.float64)
     quantiles = np.quantile(every, list(CLOCK_QUANTILES.values()))
     return {"loop_cost_mean_us": float(every.mean()), **dict(zip(CLOCK_QUANTILES, map(float, quantiles), strict=True))}
