@@ -49,7 +49,7 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
     group = random.permutation(np.arange(BINS // BINS_PER_WINDOW) % GROUPS)
     samples, sizes = group_samples(cost_ns, group)
     samples = np.log(samples)
-    entries = np.log(np.sort(cost_ns[..., : len(SWITCH_SHARES)] * 2, axis=-1))[..., None] + np.array([0.0, 0.7])
+    entries = np.log(np.sort(cost_ns[..., : len(SWITCH_SHARES)] * 2, axis=-1))[..., None] + np.array([0.0, 0.7, 1.0])
     cell_edges = np.array([1.5, 4.0, 10.0])
     instants = Instants(
         offset_n=jnp.asarray(random.normal(size=(RUNGS, SUBSETS, INSTANTS, 3)) * 0.1 * coarse[..., None]),
@@ -73,6 +73,7 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
         switch=curves(entries),
         free_switch=curves(entries - 1.0),
         log_reach=jnp.log(jnp.array([0.2, 2.0])),
+        steps=jnp.array([1.2, 3.0]),
         contact=jnp.asarray(random.uniform(0.3, 1.0, BINS)),
         cells=cell_factors(cell_edges, random.uniform(0, 0.6, (RUNGS, SUBSETS, CELLS, 2))),
         sizes=jnp.asarray(sizes),

@@ -44,9 +44,10 @@ class LadderData:
         cost_ns: (R, B, T) of a tick, on the station, by its counters.
         reference: of the finest level, over the feel's part.
         tour: of switches, over the feel's part.
-        switch_ns, free_switch_ns: (R, B, M, 2) cost of ticks that enter a level, on the station, in contact and out of
-            it: one value for each of the shares `hapticlod.surrogate.cost.SWITCH_SHARES`, cheapest first.
-        reach_mm: the two mapping lengths that this was measured with.
+        switch_ns, free_switch_ns: (R, B, M, 3) cost of ticks that enter a level, on the station, in contact and out of
+            it: one value for each of the shares `hapticlod.surrogate.cost.SWITCH_SHARES`, cheapest first; from the next
+            rung with a short mapping length and with a long one, and with the long one from a rung far away.
+        reach_mm: the two mapping lengths. steps: |ln N - ln N'| of a next rung and of one far away.
         cell_rungs: rungs whose other cell sizes were sampled.
         cell_cost: (S, B, H, 2) mean cost, and mean cost of the dearest ticks, by cell size, at these rungs.
         level_bytes: (R,) with the replays' cells; cell_bytes: (S, H).
@@ -64,6 +65,7 @@ class LadderData:
     switch_ns: Array
     free_switch_ns: Array
     reach_mm: tuple[float, float]
+    steps: tuple[float, float]
     cell_rungs: tuple[int, ...]
     cell_cost: Array
     level_bytes: Array
@@ -192,6 +194,7 @@ def _cost_model(data: LadderData, curves) -> CostModel:
         switch=curves(np.log(np.maximum(data.switch_ns, 1.0))),
         free_switch=curves(np.log(np.maximum(data.free_switch_ns, 1.0))),
         log_reach=jnp.log(jnp.array(data.reach_mm)),
+        steps=jnp.array(data.steps),
         cells=cell_factors(np.array(data.grid.cell_edges), _along_rungs(data, factors)),
         contact=jnp.asarray(clock.binned(data.contact.astype(np.float64)).mean(axis=1)),
         sizes=jnp.asarray(sizes),

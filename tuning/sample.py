@@ -25,7 +25,7 @@ from tuning.calibrate import (
 )
 from tuning.grid import Clock
 from tuning.level_fields import level_fields, make_reference
-from tuning.relay import relay_ladder
+from tuning.relay import leaps, mean_step, relay_ladder
 from tuning.replays import Bench, replay_fixed, tour_ladder
 
 Array = NDArray[np.float64]
@@ -136,12 +136,13 @@ def sample_ladder(
         lambda done: progress("switch between levels", 0.5 * done),
     )  # fmt: skip
     reach_mm = (_REACHES[0] * l_mm, _REACHES[1] * l_mm)
+    kinds = ((reach_mm[0], False), (reach_mm[1], False), (reach_mm[1], True))
     relays = [
         relay_ladder(
             bench, levels, cut, felt_clock, reach, threads(),
-            lambda done, i=i: progress("switch between levels", 0.5 + 0.25 * (i + done)),
+            lambda done, i=i: progress("switch between levels", 0.5 + (i + done) / (2 * len(kinds))), leaping,
         )
-        for i, reach in enumerate(reach_mm)
+        for i, (reach, leaping) in enumerate(kinds)
     ]  # fmt: skip
     entered = [(r, rows) for entries, _ in relays for (r, _), rows in entries.items() if len(rows)]
     chosen = tuple(cell_rungs(grid))
@@ -160,7 +161,7 @@ def sample_ladder(
     cost = np.zeros((*grid.shape, clock.ticks))
     for (r, b), rows in kept.items():
         cost[r, b] = costing.counted_ns(rows, int(level_bytes[r]))
-    switch = np.zeros((2, *grid.shape, len(SWITCH_SHARES), len(reach_mm)))
+    switch = np.zeros((2, *grid.shape, len(SWITCH_SHARES), len(kinds)))
     for i, (entries, touched) in enumerate(relays):
         for place, rows in entries.items():
             enters = np.ones(len(rows), dtype=bool)
@@ -171,7 +172,8 @@ def sample_ladder(
         grid=grid, clock=clock, felt_clock=felt_clock, fields=fields, velocity_mm_s=_velocity_mm_s(whole),
         contact=np.concatenate([rows["contact"] == 1 for rows in first]), cost_ns=cost,
         reference=reference, tour=tour,
-        switch_ns=switch[0], free_switch_ns=switch[1], reach_mm=reach_mm, cell_rungs=chosen,
+        switch_ns=switch[0], free_switch_ns=switch[1], reach_mm=reach_mm,
+        steps=(mean_step(range(rungs), grid.triangles), mean_step(leaps(rungs), grid.triangles)), cell_rungs=chosen,
         cell_cost=_cell_cost(bench, swept, cell_bytes, costing), level_bytes=level_bytes, cell_bytes=cell_bytes,
     )  # fmt: skip
     return data, costing

@@ -28,9 +28,7 @@ def split_traps(own: Array, fresh: Array, starts: NDArray[np.bool_]) -> tuple[Ar
     touched = own.max(axis=(0, 1)) > 0
     usual = np.median(own[..., touched], axis=-1, keepdims=True) if touched.any() else np.zeros((*own.shape[:2], 1))
     limit = _TRAPPED * np.maximum(np.maximum(fresh, usual), 1e-12)
-    over = binary_closing(own > limit, np.ones((1, 1, _GAP)))
-    held = over.copy()
-    held[..., 1:] &= over[..., :-1]
-    held &= ~starts
+    over = np.asarray(binary_closing(own > limit, np.ones((1, 1, _GAP))), dtype=bool)
+    before = np.concatenate([np.zeros_like(over[..., :1]), over[..., :-1]], axis=-1)
     excess = np.where(over, np.maximum(own - limit, 0.0), 0.0)
-    return excess, over & ~held
+    return excess, over & (~before | starts)

@@ -21,10 +21,10 @@ from tuning.compile_cache import keep_compiled
 from tuning.confirm import Clock
 from tuning.explain import explain
 from tuning.explore import Candidate, Judge, cost_us, explore, holds, limits_of
-from tuning.population import POOLED, check_over, measured_each, measured_over
+from tuning.population import POOLED, check_over, measured_each, measured_objective
 from tuning.prepare import Prepared, Progress, Stages, prepare
 from tuning.sample import Costing
-from tuning.search import Search, disturbance, objective
+from tuning.search import Search
 from tuning.sensitivity import sensitivities, sentence
 from tuning.verify import Verifier
 
@@ -105,12 +105,7 @@ def tune(
 
     def judged(config: LodConfig, metrics: dict[str, float]) -> float:
         """The objective by what was measured."""
-        pooled = float(objective(metrics, station.budget_us))
-        if over == POOLED:
-            return pooled
-        felt = [disturbance(m["felt_error_jnd"], m["discontinuity_per_s"]) for m in measured_each(verifier, config)]
-        together = disturbance(metrics["felt_error_jnd"], metrics["discontinuity_per_s"])
-        return pooled - together + measured_over(felt, over)
+        return measured_objective(verifier, config, metrics, over)
 
     counts = [k for k in range(levels[0], levels[1] + 1) if ready.space.fits(k)] or [1]
     baselines, ticks, candidates = _baselines(ready, verifier, tool, station, judged, stages)
@@ -124,8 +119,9 @@ def tune(
         found = clock.first(candidates, ASKED if left else len(candidates))
         if found is not None or clock.ratio == 1.0:
             break
-        leaders = sorted((c for c in candidates if c.optimum is not None), key=lambda c: c.objective)
-        near = {c.optimum.levels: c.optimum.x for c in leaders[:ASKED] if c.optimum is not None}
+        best = sorted((c.objective, i) for i, c in enumerate(candidates) if c.optimum is not None)[:ASKED]
+        leaders = [optimum for _, i in best if (optimum := candidates[i].optimum) is not None]
+        near = {optimum.levels: optimum.x for optimum in leaders}
     if found is None:
         raise _nothing_fits(candidates, station, clock.ratio)
     chosen, said = found

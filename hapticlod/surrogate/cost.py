@@ -67,6 +67,10 @@ def group_samples(cost: NDArray, group: NDArray[np.intp]) -> tuple[NDArray, NDAr
     return samples, np.stack([np.pad(x, (0, most - len(x))) for x in sizes]).astype(np.float64)
 
 
+# A level further away than this, in the far relay's steps, costs no more to enter.
+_FURTHEST = 1.5
+
+
 class CellFactors(eqx.Module):
     """How cost changes with the cell size, relative to the cells that the ladder was replayed with.
 
@@ -97,8 +101,9 @@ class CostModel(eqx.Module):
     - `samples`: ln ns, trailing shape (groups, samples), dearest first within a group.
     - `group`: (windows,) the group of each window.
     - `tail_share`: trailing shape as `samples`: 0 where a sample belongs to its rung's body, 1 in its tail.
-    - `switch`: ln ns of ticks that change the level in contact, by the level entered, trailing shape (M, 2): one sample
-      for each of `SWITCH_SHARES`, at either of two mapping lengths. `log_reach`: (2,) ln of these lengths, mm.
+    - `switch`: ln ns of ticks that change the level in contact, by the level entered, trailing shape (M, 3): one sample
+      for each of `SWITCH_SHARES`; from a next rung at either of two mapping lengths, and at the longer one from a rung
+      far away. `log_reach`: (2,) ln of these lengths, mm. `steps`: (2,) |ln N - ln N'| of a next and of a far rung.
     - `free_switch`: the same without contact.
     - `cells`: dependence on cell size.
     - `contact`: (m,) share of a bin's ticks in which the reference is in contact, of all bins that were priced.
@@ -111,6 +116,7 @@ class CostModel(eqx.Module):
     switch: LadderCurves
     free_switch: LadderCurves
     log_reach: Float[Array, " 2"]
+    steps: Float[Array, " 2"]
     cells: CellFactors
     contact: Float[Array, " m"]
     sizes: Float[Array, "G S"]
@@ -147,10 +153,11 @@ def tick_costs(
     log_cell_edges: Float[Array, " K"],
     switching: Switching,
     log_reach: Float[Array, ""],
+    log_triangles: Float[Array, " K"],
 ) -> tuple[TickCosts, Float[Array, "K G S"], Float[Array, "K windows"]]:
     """The mixture over levels and switches; also each level's samples (ln ns) and its weight in every window.
 
-    `log_reach` is ln of the longer mapping length.
+    `log_reach` is ln of the longer mapping length, `log_triangles` of the levels' sizes.
     """
     share = jnp.clip(model.tail_share.levels(places), 0.0, 1.0)
     factors = model.cells.levels(places, log_cell_edges)
@@ -162,17 +169,19 @@ def tick_costs(
     windows = jax.ops.segment_sum(jnp.ones_like(weights[0]), model.group, groups)
     shares = jnp.clip(summed / windows, 0.0, None)[:, :, None] * model.sizes
     # A switch's tick replaces an ordinary one; the difference of one in hundreds is left out.
-    none = jnp.zeros_like(switching.up[:1])
-    entering = jnp.concatenate([none, switching.up]) + jnp.concatenate([switching.down, none])
-    in_contact = jnp.sum(entering * model.contact, axis=1)
-    free = jnp.sum(entering * (1 - model.contact), axis=1)
     parts, counts = [log_ns.reshape(-1)], [shares.reshape(-1)]
-    # The further a mapping looks, the more it meets.
-    far = jnp.clip((log_reach - model.log_reach[0]) / (model.log_reach[1] - model.log_reach[0]), 0.0, 1.0)
-    for curves, flow in ((model.switch, in_contact), (model.free_switch, free)):
-        events = curves.levels(places) @ jnp.stack([1 - far, far]) + factors[:, 1:]
-        parts.append(events.reshape(-1))
-        counts.append((flow[:, None] * jnp.array(SWITCH_SHARES, dtype=flow.dtype)).reshape(-1))
+    # The further a mapping looks, the more it meets; the further apart two levels are, the further the tool moves.
+    long = jnp.clip((log_reach - model.log_reach[0]) / (model.log_reach[1] - model.log_reach[0]), 0.0, 1.0)
+    span = jnp.maximum(model.steps[1] - model.steps[0], 1e-3)
+    far = jnp.clip((jnp.abs(jnp.diff(log_triangles)) - model.steps[0]) / span, 0.0, _FURTHEST)  # (J,)
+    mix = jnp.stack([jnp.broadcast_to(1 - long, far.shape), long - far, far])  # (3, J)
+    for curves, share_of in ((model.switch, model.contact), (model.free_switch, 1 - model.contact)):
+        events = curves.levels(places)  # (K, M, 3)
+        for entered, flow in ((slice(1, None), switching.up), (slice(None, -1), switching.down)):
+            cost = jnp.einsum("jmx,xj->jm", events[entered], mix) + factors[entered, 1:]
+            parts.append(cost.reshape(-1))
+            happened = jnp.sum(flow * share_of, axis=1)
+            counts.append((happened[:, None] * jnp.array(SWITCH_SHARES, dtype=flow.dtype)).reshape(-1))
     return TickCosts(jnp.concatenate(parts), jnp.concatenate(counts)), log_ns, weights
 
 
