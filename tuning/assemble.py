@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
-from hapticlod.surrogate.cost import CostModel, cell_factors, group_samples, share_middles
+from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_samples
 from hapticlod.surrogate.ladder_curves import LadderCurves, ladder_curves
 from hapticlod.surrogate.measurement import Feel, Instants, LadderMeasurement
 from hapticlod.surrogate.traps import Traps
-from tuning.entry_speed import smooth_speed_mm_s
 from tuning.grid import Clock, Grid
 from tuning.level_fields import WINDOWS_S, Reference
 from tuning.replays import Tour
@@ -27,8 +27,8 @@ _TAIL_SHARE = 0.02
 _TAIL_FROM = (0.9, 0.99)
 # Costs are counted and have no noise: quantiles are smoothed only as far as slopes need it, in ln cost.
 _SPREAD = 0.03
-# Of a group of windows that share a distribution of costs.
-_GROUP_TICKS = 512
+# Of a group of windows that share a distribution of costs: its size, and the cut-off of the speed they share.
+_GROUP_TICKS, _GROUP_HZ = 512, 13.0
 # The number of contact cycles is a shape: in steps, so that compiled code fits other motions.
 _CYCLE_STEP = 64
 
@@ -48,7 +48,6 @@ class LadderData:
             it: one value for each of the shares `hapticlod.surrogate.cost.SWITCH_SHARES`, cheapest first; from the next
             rung with a short mapping length and with a long one, and with the long one from a rung far away.
         reach_mm: the two mapping lengths. steps: |ln N - ln N'| of a next rung and of one far away.
-        entry_slopes, entry_log_speed: of `tuning.entry_speed.speed_slopes`.
         cell_rungs: rungs whose other cell sizes were sampled.
         cell_cost: (S, B, H, 2) mean cost, and mean cost of the dearest ticks, by cell size, at these rungs.
         level_bytes: (R,) with the replays' cells; cell_bytes: (S, H).
@@ -67,8 +66,6 @@ class LadderData:
     free_switch_ns: Array
     reach_mm: tuple[float, float]
     steps: tuple[float, float]
-    entry_slopes: Array
-    entry_log_speed: Array
     cell_rungs: tuple[int, ...]
     cell_cost: Array
     level_bytes: Array
@@ -198,8 +195,6 @@ def _cost_model(data: LadderData, curves) -> CostModel:
         free_switch=curves(np.log(np.maximum(data.free_switch_ns, 1.0))),
         log_reach=jnp.log(jnp.array(data.reach_mm)),
         steps=jnp.array(data.steps),
-        speed_slopes=jnp.asarray(data.entry_slopes),
-        log_speed=jnp.asarray(data.entry_log_speed),
         cells=cell_factors(np.array(data.grid.cell_edges), _along_rungs(data, factors)),
         contact=jnp.asarray(clock.binned(data.contact.astype(np.float64)).mean(axis=1)),
         sizes=jnp.asarray(sizes),
@@ -211,10 +206,11 @@ def _cost_model(data: LadderData, curves) -> CostModel:
 def cost_groups(velocity_mm_s: Array, clock: Clock) -> NDArray[np.intp]:
     """(windows,) group of each window: about `_GROUP_TICKS` ticks of one motion at about one speed of the hand."""
     window = clock.ticks_per_bin * clock.bins_per_window
+    gain = np.exp(-2 * np.pi * _GROUP_HZ / clock.loop_hz)
     number, speed, at = [], [], 0
     for motion, ticks in enumerate(clock.motion_ticks):
-        smooth = smooth_speed_mm_s(velocity_mm_s[at : at + ticks], clock.loop_hz)
-        speed.append(smooth.reshape(-1, window).mean(axis=1))
+        smooth = lfilter([1 - gain], [1, -gain], velocity_mm_s[at : at + ticks], axis=0)
+        speed.append(np.linalg.norm(smooth, axis=1).reshape(-1, window).mean(axis=1))
         number.append(np.full(ticks // window, motion))
         at += ticks
     order = np.lexsort((np.concatenate(speed), np.concatenate(number)))
@@ -231,7 +227,8 @@ def entry_costs(cost: Array, touched: NDArray[np.bool_], ordinary: Array) -> tup
         cost: (n,) of the ticks that entered it. touched: (n,) whether in contact.
         ordinary: of all its ticks: what stands in where nothing ever entered it.
     """
-    middle = share_middles()
+    edges = np.concatenate([[0.0], np.cumsum(SWITCH_SHARES)])
+    middle = 0.5 * (edges[1:] + edges[:-1])
     every = cost if len(cost) else ordinary
     kinds = (cost[chosen] if chosen.sum() >= _FEWEST_ENTRIES else every for chosen in (touched, ~touched))
     in_contact, free = (np.quantile(kind, middle) for kind in kinds)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from hapticlod.layout import RECORD_DTYPE
 from hapticlod.motion import Motion
-from tuning.entry_speed import smooth_speed_mm_s
 from tuning.grid import Clock
 from tuning.replays import MOST_RUNTIME_LEVELS, Bench, run, unreached_levels
 
@@ -31,7 +30,7 @@ Entries = dict[tuple[int, int], NDArray]
 def relay_ladder(
     bench: Bench, levels: Sequence[Any], motions: Sequence[Motion], clock: Clock, l_mm: float, threads: int,
     done: Callable[[float], None], leaping: bool = False,
-) -> tuple[Entries, dict[tuple[int, int], NDArray[np.bool_]], dict[tuple[int, int], NDArray[np.float64]]]:  # fmt: skip
+) -> tuple[Entries, dict[tuple[int, int], NDArray[np.bool_]]]:  # fmt: skip
     """Hands the level up and down the ladder, one rung per instant, or leaping over several.
 
     Args:
@@ -43,8 +42,8 @@ def relay_ladder(
         leaping: over about two fifths of the ladder at a time.
 
     Returns:
-        By (rung, subset): rows of RECORD_DTYPE of the ticks that entered it, whether they, or the ticks before, were
-        in contact. Empty where the ladder has one rung only.
+        By (rung, subset): rows of RECORD_DTYPE of the ticks that entered it, and whether they, or the ticks before,
+        were in contact. Empty where the ladder has one rung only.
     """
     rungs, subsets = bench.grid.shape
     order = leaps(rungs) if leaping else list(range(rungs))
@@ -54,32 +53,25 @@ def relay_ladder(
     legs = [stops[i : i + size + 1] for i in range(0, max(len(stops) - 1, 1), size)]
     entries: dict[tuple[int, int], list[NDArray]] = {stop: [] for stop in stops}
     contacts: dict[tuple[int, int], list[NDArray[np.bool_]]] = {stop: [] for stop in stops}
-    speeds: dict[tuple[int, int], list[NDArray[np.float64]]] = {stop: [] for stop in stops}
 
-    def go(leg: list[tuple[int, int]]) -> list[tuple[NDArray, NDArray[np.bool_], NDArray[np.float64]]]:
+    def go(leg: list[tuple[int, int]]) -> list[tuple[NDArray, NDArray[np.bool_]]]:
         config = unreached_levels(bench, bench.station, leg, l_mm, _BLEND_MS)
         renderer = bench.renderer([levels[r] for r, _ in leg], config)
         found = [_entered(renderer, motion, clock, len(leg)) for motion in motions]
         return [
-            (
-                np.concatenate([rows[k] for rows, _, _ in found]),
-                np.concatenate([touched[k] for _, touched, _ in found]),
-                np.concatenate([speed[k] for _, _, speed in found]),
-            )
+            (np.concatenate([rows[k] for rows, _ in found]), np.concatenate([touched[k] for _, touched in found]))
             for k in range(len(leg))
         ]
 
     with ThreadPoolExecutor(threads) as pool:
         for count, (leg, parts) in enumerate(zip(legs, pool.map(go, legs), strict=True), 1):
-            for stop, (rows, touched, speed) in zip(leg, parts, strict=True):
+            for stop, (rows, touched) in zip(leg, parts, strict=True):
                 entries[stop].append(rows)
                 contacts[stop].append(touched)
-                speeds[stop].append(speed)
             done(count / len(legs))
     return (
         {stop: np.concatenate(parts) for stop, parts in entries.items()},
         {stop: np.concatenate(parts) for stop, parts in contacts.items()},
-        {stop: np.concatenate(parts) for stop, parts in speeds.items()},
     )
 
 
@@ -95,22 +87,14 @@ def mean_step(order: Sequence[int], triangles: Sequence[int]) -> float:
     return float(np.abs(np.diff(log)).mean()) if len(log) > 1 else 0.0
 
 
-def _entered(
-    renderer: Any, motion: Motion, clock: Clock, count: int
-) -> tuple[list[NDArray], list[NDArray[np.bool_]], list[NDArray[np.float64]]]:
-    """Rows, contacts and the hand's speeds of the ticks that entered each of `count` levels, in one motion."""
+def _entered(renderer: Any, motion: Motion, clock: Clock, count: int) -> tuple[list[NDArray], list[NDArray[np.bool_]]]:
+    """Rows and contacts of the ticks that entered each of `count` levels, in one motion."""
     up = np.arange(count)
     wave = np.concatenate([up, up[-2:0:-1]])
     turn = np.arange(motion.ticks) // clock.ticks_per_instant
     rows = run(renderer, motion, 1, wave[turn % len(wave)].astype(np.uint32))
     at = np.flatnonzero(np.diff(rows["level"].astype(np.int64))) + 1
     touched = (rows["contact"][at] | rows["contact"][at - 1]) == 1
-    place = motion.position_mm
-    speed = smooth_speed_mm_s(np.diff(place, axis=0, prepend=place[:1]) * motion.loop_hz, motion.loop_hz)[at]
     entered = rows["level"][at]
     picked = [entered == k for k in range(count)]
-    return (
-        [rows[at[own]].astype(RECORD_DTYPE) for own in picked],
-        [touched[own] for own in picked],
-        [speed[own] for own in picked],
-    )
+    return [rows[at[own]].astype(RECORD_DTYPE) for own in picked], [touched[own] for own in picked]

@@ -23,7 +23,6 @@ from tuning.calibrate import (
     price_curve,
     without_interrupts,
 )
-from tuning.entry_speed import speed_slopes
 from tuning.grid import Clock
 from tuning.level_fields import level_fields, make_reference
 from tuning.relay import leaps, mean_step, relay_ladder
@@ -145,7 +144,7 @@ def sample_ladder(
         )
         for i, (reach, leaping) in enumerate(kinds)
     ]  # fmt: skip
-    entered = [(r, rows) for entries, _, _ in relays for (r, _), rows in entries.items() if len(rows)]
+    entered = [(r, rows) for entries, _ in relays for (r, _), rows in entries.items() if len(rows)]
     chosen = tuple(cell_rungs(grid))
     swept, cell_bytes = _sweep_cells(bench, levels, chosen, cut, progress)
 
@@ -163,21 +162,17 @@ def sample_ladder(
     for (r, b), rows in kept.items():
         cost[r, b] = costing.counted_ns(rows, int(level_bytes[r]))
     switch = np.zeros((2, *grid.shape, len(SWITCH_SHARES), len(kinds)))
-    moving: list[tuple[Array, Array]] = []
-    for i, (entries, touched, speeds) in enumerate(relays):
+    for i, (entries, touched) in enumerate(relays):
         for place, rows in entries.items():
             enters = np.ones(len(rows), dtype=bool)
             priced = costing.counted_ns(rows, int(level_bytes[place[0]]), enters) if len(rows) else np.zeros(0)
-            moving.append((priced[touched[place]], speeds[place][touched[place]]))
             switch[:, *place, :, i] = np.stack(entry_costs(priced, touched[place], cost[place]))
 
-    slopes, entry_log_speed = speed_slopes([c for c, _ in moving], [v for _, v in moving])
     data = LadderData(
         grid=grid, clock=clock, felt_clock=felt_clock, fields=fields, velocity_mm_s=_velocity_mm_s(whole),
         contact=np.concatenate([rows["contact"] == 1 for rows in first]), cost_ns=cost,
         reference=reference, tour=tour,
         switch_ns=switch[0], free_switch_ns=switch[1], reach_mm=reach_mm,
-        entry_slopes=slopes, entry_log_speed=entry_log_speed,
         steps=(mean_step(range(rungs), grid.triangles), mean_step(leaps(rungs), grid.triangles)), cell_rungs=chosen,
         cell_cost=_cell_cost(bench, swept, cell_bytes, costing), level_bytes=level_bytes, cell_bytes=cell_bytes,
     )  # fmt: skip

@@ -71,12 +71,6 @@ def group_samples(cost: NDArray, group: NDArray[np.intp]) -> tuple[NDArray, NDAr
 _FURTHEST = 1.5
 
 
-def share_middles() -> NDArray[np.float64]:
-    """(M,) the quantile that stands for each of `SWITCH_SHARES`: the middle of its share."""
-    edges = np.concatenate([[0.0], np.cumsum(SWITCH_SHARES)])
-    return 0.5 * (edges[1:] + edges[:-1])
-
-
 class CellFactors(eqx.Module):
     """How cost changes with the cell size, relative to the cells that the ladder was replayed with.
 
@@ -111,8 +105,6 @@ class CostModel(eqx.Module):
       for each of `SWITCH_SHARES`; from a next rung at either of two mapping lengths, and at the longer one from a rung
       far away. `log_reach`: (2,) ln of these lengths, mm. `steps`: (2,) |ln N - ln N'| of a next and of a far rung.
     - `free_switch`: the same without contact.
-    - `speed_slopes`: (M,) of these costs in contact along the hand's speed, both ln. `log_speed`: (3,) ln of low, usual
-      and high speed (mm/s) of the ticks they were measured at.
     - `cells`: dependence on cell size.
     - `contact`: (m,) share of a bin's ticks in which the reference is in contact, of all bins that were priced.
     - `sizes`: (groups, samples) ticks that a sample stands for.
@@ -125,8 +117,6 @@ class CostModel(eqx.Module):
     free_switch: LadderCurves
     log_reach: Float[Array, " 2"]
     steps: Float[Array, " 2"]
-    speed_slopes: Float[Array, " M"]
-    log_speed: Float[Array, " 3"]
     cells: CellFactors
     contact: Float[Array, " m"]
     sizes: Float[Array, "G S"]
@@ -164,12 +154,10 @@ def tick_costs(
     switching: Switching,
     log_reach: Float[Array, ""],
     log_triangles: Float[Array, " K"],
-    log_entry_speeds: Float[Array, "2 J"],
 ) -> tuple[TickCosts, Float[Array, "K G S"], Float[Array, "K windows"]]:
     """The mixture over levels and switches; also each level's samples (ln ns) and its weight in every window.
 
-    `log_reach` is ln of the longer mapping length, `log_triangles` of the levels' sizes,
-    `log_entry_speeds` of the speeds (mm/s) at which they are left upward [0] and downward [1].
+    `log_reach` is ln of the longer mapping length, `log_triangles` of the levels' sizes.
     """
     share = jnp.clip(model.tail_share.levels(places), 0.0, 1.0)
     factors = model.cells.levels(places, log_cell_edges)
@@ -187,15 +175,10 @@ def tick_costs(
     span = jnp.maximum(model.steps[1] - model.steps[0], 1e-3)
     far = jnp.clip((jnp.abs(jnp.diff(log_triangles)) - model.steps[0]) / span, 0.0, _FURTHEST)  # (J,)
     mix = jnp.stack([jnp.broadcast_to(1 - long, far.shape), long - far, far])  # (3, J)
-    low, usual, high = model.log_speed
-    faster = jnp.clip(log_entry_speeds, low, high) - usual
-    in_contact = (model.switch, model.contact, model.speed_slopes)
-    free = (model.free_switch, 1 - model.contact, 0 * model.speed_slopes)
-    for curves, share_of, slopes in (in_contact, free):
+    for curves, share_of in ((model.switch, model.contact), (model.free_switch, 1 - model.contact)):
         events = curves.levels(places)  # (K, M, 3)
-        sides = ((slice(1, None), switching.up, faster[0]), (slice(None, -1), switching.down, faster[1]))
-        for entered, flow, excess in sides:
-            cost = jnp.einsum("jmx,xj->jm", events[entered], mix) + factors[entered, 1:] + excess[:, None] * slopes
+        for entered, flow in ((slice(1, None), switching.up), (slice(None, -1), switching.down)):
+            cost = jnp.einsum("jmx,xj->jm", events[entered], mix) + factors[entered, 1:]
             parts.append(cost.reshape(-1))
             happened = jnp.sum(flow * share_of, axis=1)
             counts.append((happened[:, None] * jnp.array(SWITCH_SHARES, dtype=flow.dtype)).reshape(-1))

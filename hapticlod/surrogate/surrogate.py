@@ -150,13 +150,7 @@ def predict_members(
 
     log_reach = jnp.maximum(parameters.log_l_in, parameters.log_l_out)
     costs, samples, windows = tick_costs(
-        measured.cost,
-        where,
-        parameters.log_cell_edges,
-        all_bins,
-        log_reach,
-        parameters.log_triangles,
-        parameters.reachable_log_speeds + jnp.log1p(parameters.hysteresis * jnp.array([[1.0], [-1.0]])),
+        measured.cost, where, parameters.log_cell_edges, all_bins, log_reach, parameters.log_triangles
     )
     spread = measured.cost.spread
     shares = jnp.clip(weights, 0.0, None)
