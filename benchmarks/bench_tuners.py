@@ -41,7 +41,7 @@ def bench_tuners_command(
     budget_us: float | None = None,
     evaluations: int = 400,
     seconds: float = 0.0,
-    unit: str = "mm",
+    unit: str | None = None,
     seed: int = 0,
     json: Path | None = None,
 ) -> None:
@@ -64,7 +64,7 @@ def bench_tuners_command(
     seconds
         That each method goes on for at least.
     unit
-        Unit of the scan's coordinates.
+        Unit of the scan's coordinates: mm, cm, m, um or in. Default: what the file says, else a guess from its size.
     seed
         Of motions and methods.
     json
@@ -92,7 +92,7 @@ def bench_tuners_command(
 
 def _compared(
     scan: Path, motions: str, tool: Path | None, station: Path | None, budget_us: float | None,
-    evaluations: int, seconds: float, unit: str, seed: int, told: Any,
+    evaluations: int, seconds: float, unit: str | None, seed: int, told: Any,
 ) -> dict[str, Any]:  # fmt: skip
     from benchmarks.black_box import METHODS, Trials
     from benchmarks.inputs import load_inputs

@@ -31,7 +31,7 @@ def evaluate_command(
     tool: Path | None = None,
     station: Path | None = None,
     configs: int = 60,
-    unit: str = "mm",
+    unit: str | None = None,
     seed: int = 0,
     json: Path | None = None,
 ) -> None:
@@ -40,7 +40,7 @@ def evaluate_command(
     Parameters
     ----------
     scan
-        Triangle mesh: STL, PLY, OBJ, OFF or GLB.
+        Triangle mesh: STL, PLY, OBJ, OFF, GLB or 3MF.
     motions
         Recorded hand motions, CSV files parted by spaces. Default: strokes made on the scan's surface.
     tool
@@ -50,7 +50,7 @@ def evaluate_command(
     configs
         How many random configurations, 1 to 5 levels in turn.
     unit
-        Unit of the scan's coordinates.
+        Unit of the scan's coordinates: mm, cm, m, um or in. Default: what the file says, else a guess from its size.
     seed
         Of motions and configurations.
     json

@@ -12,14 +12,12 @@ import numpy as np
 
 from hapticlod.errors import InputError
 from hapticlod.material import check_materials, vertex_means
-from hapticlod.repair import clean
 from hapticlod.repair_report import Count, RepairReport
 from hapticlod.scan_file import FileMesh, check_indices, read_mesh
+from hapticlod.scan_unit import UNITS_MM, guess_unit, named_unit
 
 __all__ = ["Count", "RepairReport", "Scan", "load_scan", "scan_from_arrays"]
 
-UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "in": 25.4}
-_OTHER_NAMES = {"micron": "um", "µm": "um", "μm": "um", "inch": "in", "inches": "in", "metre": "m", "meter": "m"}
 # Things that are touched with a hand-held tool are between a crown and a torso in size.
 SMALLEST_EXTENT_MM, LARGEST_EXTENT_MM = 1.0, 5000.0
 
@@ -85,12 +83,13 @@ class Scan:
         return replace(self, face_materials=None if np.isnan(made).all() else made)
 
 
-def load_scan(path: str | os.PathLike[str], unit: str = "mm", *, strict: bool = False) -> Scan:
+def load_scan(path: str | os.PathLike[str], unit: str | None = "mm", *, strict: bool = False) -> Scan:
     """Load and clean a scan.
 
     Args:
-        path: STL (binary or ASCII), PLY, OBJ, OFF or GLB.
-        unit: unit of the file's numbers: mm, cm, m, um or in (inches).
+        path: STL (binary or ASCII), PLY, OBJ, OFF, GLB or 3MF.
+        unit: unit of the file's numbers: mm, cm, m, um or in (inches). None: what the file says (glTF: metres; 3MF; a
+            comment of OBJ, PLY or STL), else a guess from its size; the report says which and what it rests on.
         strict: refuse instead of repairing; sharing equal vertices is no repair.
 
     Returns:
@@ -102,13 +101,16 @@ def load_scan(path: str | os.PathLike[str], unit: str = "mm", *, strict: bool = 
         InputError: the file cannot be used, the unit is unknown, or it needs repair and `strict` is set.
     """
     path = Path(path)
-    name, scale = _unit_mm(unit)
+    asked = None if unit is None else named_unit(unit)
     held = read_mesh(path)
-    held = replace(held, vertices=held.vertices * scale)
-    scan = _make(held, os.fspath(path), path.stem, path.name, name, strict)
+    taken = asked or held.unit or guess_unit(held.vertices, held.faces)
+    held = replace(held, vertices=held.vertices * taken.mm)
+    scan = _make(held, os.fspath(path), path.stem, path.name, taken.name, strict)
     notes = scan.report.notes
-    if path.suffix.lower() == ".glb" and name != "m":
-        notes += (f"glTF files are in metres by their standard; this one was read in {name}",)
+    if asked is None:
+        notes += (taken.why,)
+    elif held.unit is not None and held.unit.name != asked.name:
+        notes += (f"{held.unit.why}; this one was read in {asked.name}",)
     return replace(scan, report=replace(scan.report, notes=notes)) if notes else scan
 
 
@@ -142,6 +144,8 @@ def scan_from_arrays(
 
 
 def _make(mesh: FileMesh, where: str, name: str, source: str, unit: str, strict: bool) -> Scan:
+    from hapticlod.repair import clean  # scipy is slow to import: a file that cannot be read is refused at once
+
     vertices, faces, of_file, report = clean(mesh.vertices, mesh.faces, where)
     repaired = report.repaired()
     if strict and repaired:
@@ -155,13 +159,6 @@ def _make(mesh: FileMesh, where: str, name: str, source: str, unit: str, strict:
     faces.setflags(write=False)
     note = _size_note(scan.extent_mm, unit)
     return replace(scan, report=replace(report, notes=(note,))) if note else scan
-
-
-def _unit_mm(unit: str) -> tuple[str, float]:
-    name = _OTHER_NAMES.get(unit.strip().lower(), unit.strip().lower())
-    if name not in UNITS_MM:
-        raise InputError(f"unit {unit!r}", "is unknown", f"give one of {', '.join(UNITS_MM)}")
-    return name, UNITS_MM[name]
 
 
 def _size_note(extent_mm: float, unit: str) -> str | None:

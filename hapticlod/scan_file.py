@@ -7,6 +7,7 @@ import logging
 import os
 import struct
 import warnings
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,9 +19,11 @@ import numpy as np
 from hapticlod.errors import InputError
 from hapticlod.ply_header import check_ply
 from hapticlod.scan_attributes import corner_colours, face_materials
+from hapticlod.scan_unit import Unit, unit_of_3mf, unit_of_file
 
 _EXPORT_AGAIN = "export or copy the file again"
 _STL_HEAD, _STL_FACET = 84, 50  # bytes: 80 of comment and a uint32 count; 12 floats and 2 bytes of attributes
+_MOST_UNPACKED = 4 << 30  # bytes that a 3MF archive may claim to hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,16 +33,18 @@ class FileMesh:
     Attributes:
         vertices: (n, 3) float64 in the file's unit. faces: (m, 3) int64, every index in 0..n-1.
         materials: (m, 3) of `hapticlod.material`, or None. colours: (m, 3, 3) uint8 per corner of each face, or None.
+        unit: what the file says of it, or None.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     materials: np.ndarray | None = None
     colours: np.ndarray | None = None
+    unit: Unit | None = None
 
 
 def read_mesh(path: Path) -> FileMesh:
-    """Read STL (binary or ASCII), PLY, OBJ, OFF or GLB; several bodies are joined, node poses applied.
+    """Read STL (binary or ASCII), PLY, OBJ, OFF, GLB or 3MF; several bodies are joined, node poses applied.
 
     Args:
         path: the file; its ending names the format.
@@ -59,6 +64,8 @@ def read_mesh(path: Path) -> FileMesh:
         data = _as_utf8(data, kind, where)
     elif kind == "off":
         data = _check_off(_as_utf8(data, kind, where), where)
+    elif kind == "3mf":
+        _check_3mf(data, where)
     elif data[:4] != b"glTF":
         raise InputError(where, "does not start like a GLB file", "save it as binary glTF (.glb)")
     bodies = list(_bodies(data, kind, where))
@@ -71,6 +78,7 @@ def read_mesh(path: Path) -> FileMesh:
         np.concatenate([body.faces + sizes[i] for i, body in enumerate(bodies)]),
         bodies[0].materials if len(bodies) == 1 else None,  # only PLY has any, and it is one body
         np.concatenate(colours) if len(colours) == len(bodies) else None,
+        bodies[0].unit or unit_of_file(data, kind),
     )
 
 
@@ -93,9 +101,9 @@ def _read_bytes(path: Path, kind: str) -> bytes:
         raise InputError(where, "is a folder", "name the mesh file in it")
     if not path.exists():
         raise InputError(where, "does not exist", "check the path")
-    if kind not in ("stl", "ply", "obj", "off", "glb"):
+    if kind not in ("stl", "ply", "obj", "off", "glb", "3mf"):
         ending = f"the ending .{kind}" if kind else "a name without an ending"
-        raise InputError(where, f"{ending} is no known mesh format", "give STL, PLY, OBJ, OFF or GLB")
+        raise InputError(where, f"{ending} is no known mesh format", "give STL, PLY, OBJ, OFF, GLB or 3MF")
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -152,6 +160,16 @@ def _check_off(data: bytes, where: str) -> bytes:
     return data
 
 
+def _check_3mf(data: bytes, where: str) -> None:
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+    except zipfile.BadZipFile as error:
+        raise InputError(where, "is no 3MF archive, or cut short", _EXPORT_AGAIN) from error
+    if unpacked > _MOST_UNPACKED:
+        raise InputError(where, f"claims to unpack to {unpacked / 2**30:.0f} GB", "save it as binary STL or PLY")
+
+
 def _as_utf8(data: bytes, kind: str, where: str) -> bytes:
     if b"\0" in data[:65536]:
         raise InputError(where, f"holds binary data, but {kind.upper()} is text", "give the file its true ending")
@@ -171,6 +189,7 @@ def _bodies(data: bytes, kind: str, where: str) -> Iterator[FileMesh]:
             scene: Any = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, skip_materials=True)
             nodes = [scene.graph[node] for node in scene.graph.nodes_geometry]
             parts = [(scene.geometry[name], np.asarray(pose, dtype=np.float64)) for pose, name in nodes]
+            said = unit_of_3mf(str(scene.units or "mm")) if kind == "3mf" else None
     except MemoryError as error:
         raise InputError(where, "needs more memory than there is", "use a smaller scan") from error
     except Exception as error:  # the parsers raise whatever their code meets
@@ -193,7 +212,7 @@ def _bodies(data: bytes, kind: str, where: str) -> Iterator[FileMesh]:
             if np.linalg.det(pose[:3, :3]) < 0.0:
                 faces = faces[:, ::-1]
         check_indices(faces, len(vertices), where)
-        yield FileMesh(vertices, faces, face_materials(part, len(faces), where), corner_colours(part, faces))
+        yield FileMesh(vertices, faces, face_materials(part, len(faces), where), corner_colours(part, faces), said)
     if points and not found:
         raise InputError(where, f"is a point cloud ({points} points, no faces)", "mesh it first, then give the surface")
 

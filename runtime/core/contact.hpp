@@ -12,6 +12,7 @@
 
 #include "core/candidates.hpp"
 #include "core/plane_qp.hpp"
+#include "core/tool_links.hpp"
 
 namespace hapticlod {
 
@@ -36,8 +37,12 @@ struct Tolerances {
 // One ball's nearest surface point, as surface_side() finds it.
 struct BallSide {
     static constexpr std::uint32_t kMostAround = 32;  // triangles around one vertex
+    static constexpr std::uint32_t kNone = ~0u;
     double distance = 0.0;
-    Vec3 point, normal;  // angle-weighted, not normalised
+    double empty = 0.0;       // no surface is nearer to its centre than this
+    double seen = 0.0;        // which side it is on and how clearly: 1 in front, -1 behind, 0 not known
+    std::uint32_t first = 0;  // the candidate that may be nearest
+    Vec3 point, normal;       // angle-weighted, not normalised
     std::uint32_t around = 0;
     std::array<std::uint32_t, kMostAround> counted;
 };
@@ -53,8 +58,10 @@ struct Contact {
 
 class ContactSolver {
 public:
-    void allocate(const ToolTree& tree, std::size_t balls) {
+    // Both must outlive this.
+    void allocate(const ToolTree& tree, const ToolLinks& links, std::size_t balls) {
         candidates_.allocate(tree, balls);
+        links_ = &links;
         touches_.resize(kMaxTouches);
         sides_.resize(balls);
     }
@@ -99,7 +106,26 @@ public:
     // Lists what is near the present position, or a point ahead of it, see Candidates::gather.
     double gather(double reach, std::span<const SolverBall> balls, TickCounters& counters, const Vec3& ahead = {});
     Candidates& candidates() { return candidates_; }
+    // Between a gather about the present position and the next move: what a pair looks like from there.
+    void begin_looking() {
+        next_stamp();
+        local_ = x_ - candidates_.centre();
+    }
+    const EvalBlock& look(std::uint32_t i, TickCounters& counters) {
+        if (candidates_.stamp(i) != stamp_) renew(i, counters);
+        return candidates_.evaluation(i);
+    }
+    // Lanes of a pair that was looked at which the move, there or back, may touch: their planes do not keep the ball
+    // clear by the margin.
+    [[nodiscard]] std::uint32_t may_touch(std::uint32_t i, const Vec3& move, double margin) const {
+        const float there[3] = {static_cast<float>(move.x), static_cast<float>(move.y), static_cast<float>(move.z)};
+        const float back[3] = {-there[0], -there[1], -there[2]};
+        const EvalBlock& e = candidates_.evaluation(i);
+        const auto least = static_cast<float>(margin);
+        return kernels_->crossed(e, there, least) | kernels_->crossed(e, back, least);
+    }
     [[nodiscard]] std::span<BallSide> sides() { return sides_; }
+    [[nodiscard]] const ToolLinks& links() const { return *links_; }
     // Lower bound of the distance to the surface, 0 in contact: what the distance policy switches by.
     [[nodiscard]] double free_distance() const { return free_distance_; }
     [[nodiscard]] const Tolerances& tolerances() const { return tolerances_; }
@@ -133,6 +159,7 @@ private:
     [[nodiscard]] bool separated(const Triangle& t, double kept) const;
 
     Candidates candidates_;
+    const ToolLinks* links_ = nullptr;
     const Kernels* kernels_ = nullptr;
     Tolerances tolerances_;
     double mean_edge_mm_ = 0.0, cell_mm_ = 0.0;

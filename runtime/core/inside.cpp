@@ -11,6 +11,8 @@ namespace {
 
 // A closest point found one triangle at a time, in double, takes as long as so many of the kernels' tests.
 constexpr std::uint32_t kScalarTests = 3;
+constexpr double kUnknown = 1e300;
+constexpr double kFirstLook = 0.25;  // mean edges: most often the tool lies on the surface
 
 double corner_angle(const Vec3& at, const Vec3& u, const Vec3& v) {
     const Vec3 a = u - at, b = v - at;
@@ -35,39 +37,90 @@ Vec3 weighted_normal(const Triangle& t, const ClosestPoint& c, double same2) {
     return n * (weight / length);
 }
 
+// Takes in what a candidate knows of its ball's nearest surface point.
+void look_closer(ContactSolver& solver, std::uint32_t i, BallSide& s, double kept, double same,
+                 TickCounters& counters) {
+    const Candidates& candidates = solver.candidates();
+    if (candidates.key(i) + kept > s.distance + same) return;
+    const EvalBlock& seen = solver.look(i, counters);
+    const double rounding = 0.1 * solver.tolerances().skin;  // of the kernels
+    for (std::uint32_t k = 0; k < 8; ++k) {
+        if (double{seen.clearance[k]} + kept > s.distance + same + rounding) continue;
+        counters.tests += kScalarTests;
+        const Triangle t = candidates.triangle(i, k);
+        const ClosestPoint p = closest_on_triangle({}, t);
+        const double distance = std::sqrt(p.distance2);
+        if (distance > s.distance + same) continue;
+        if (distance < s.distance - same) s.distance = distance, s.point = p.point, s.normal = {}, s.around = 0;
+        // Each triangle counts once, though candidates may repeat it.
+        const auto last = s.counted.begin() + s.around;
+        const std::uint32_t id = candidates.triangle_id(i, k);
+        if (s.around < BallSide::kMostAround && std::find(s.counted.begin(), last, id) == last) {
+            s.counted[s.around++] = id;
+            s.normal += weighted_normal(t, p, same * same);
+        }
+        s.distance = std::min(s.distance, distance);
+    }
+}
+
 // Every ball's nearest surface point among the candidates; returns how many balls have one.
 std::size_t nearest_points(ContactSolver& solver, std::span<const SolverBall> balls, double same,
                            TickCounters& counters) {
-    Candidates& candidates = solver.candidates();
+    const Candidates& candidates = solver.candidates();
     const std::span<BallSide> sides = solver.sides().first(balls.size());
-    for (BallSide& s : sides) s.distance = 1e300, s.around = 0;
-    std::size_t found = 0;
+    for (BallSide& s : sides) s.distance = kUnknown, s.around = 0, s.first = BallSide::kNone;
     counters.tests += candidates.block_count() / 16;  // bounds that are looked at, as in contact.cpp
+    solver.begin_looking();
+    for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
+        BallSide& s = sides[candidates.ball(i)];
+        if (s.first == BallSide::kNone || candidates.key(i) < candidates.key(s.first)) s.first = i;
+    }
+    std::size_t found = 0;
+    for (std::size_t b = 0; b < balls.size(); ++b) {
+        if (sides[b].first == BallSide::kNone) continue;
+        look_closer(solver, sides[b].first, sides[b], balls[b].kept, same, counters);
+        ++found;
+    }
     for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
         const std::uint32_t ball = candidates.ball(i);
-        BallSide& s = sides[ball];
-        if (candidates.key(i) + balls[ball].kept > s.distance + same) continue;
-        counters.tests += 8 * kScalarTests;
-        for (std::uint32_t k = 0; k < 8; ++k) {
-            const Triangle t = candidates.triangle(i, k);
-            const ClosestPoint p = closest_on_triangle({}, t);
-            const double distance = std::sqrt(p.distance2);
-            if (distance > s.distance + same) continue;
-            if (distance < s.distance - same) {
-                found += s.distance == 1e300 ? 1 : 0;
-                s.distance = distance, s.point = p.point, s.normal = {}, s.around = 0;
-            }
-            // Each triangle counts once, though candidates may repeat it.
-            const auto last = s.counted.begin() + s.around;
-            const std::uint32_t id = candidates.triangle_id(i, k);
-            if (s.around < BallSide::kMostAround && std::find(s.counted.begin(), last, id) == last) {
-                s.counted[s.around++] = id;
-                s.normal += weighted_normal(t, p, same * same);
-            }
-            s.distance = std::min(s.distance, distance);
-        }
+        if (i != sides[ball].first) look_closer(solver, i, sides[ball], balls[ball].kept, same, counters);
     }
     return found;
+}
+
+// Between the surface normal and the way from the nearest point to the ball: negative behind the surface.
+double cosine(const BallSide& s) {
+    const double lengths = norm(s.normal) * norm(s.point);
+    return lengths > 0.0 ? -dot(s.point, s.normal) / lengths : 0.0;
+}
+
+// Which side of the surface every ball is on, as far as that is known: by its nearest point where that is among the
+// candidates, which are complete up to this clearance. Balls whose room overlaps are on one side, for no surface runs
+// between the centres of two balls of empty space that overlap: there the one counts that sees its side best. At an
+// edge or a border a normal may say little. True: the deepest ball of all is among those with a point.
+bool settle_sides(ContactSolver& solver, std::span<const SolverBall> balls, double complete, double front) {
+    const std::span<BallSide> sides = solver.sides().first(balls.size());
+    bool any = false;
+    for (std::size_t b = 0; b < balls.size(); ++b) {
+        BallSide& s = sides[b];
+        const double least = balls[b].kept + complete;
+        s.seen = s.distance > least ? 0.0 : cosine(s);
+        s.empty = std::min(s.distance, least);
+        any |= s.distance <= least;
+    }
+    if (!any || front == 0.0) return any;
+    const auto spread = [&](std::size_t from, std::size_t to) {
+        const double room = (sides[from].empty + sides[to].empty) * (1.0 - 1e-9);
+        if (std::abs(sides[from].seen) > std::abs(sides[to].seen) &&
+            norm2(balls[from].offset - balls[to].offset) < room * room)
+            sides[to].seen = sides[from].seen;
+    };
+    const std::span<const ToolLink> links = solver.links().of(balls.size());
+    for (std::size_t i = links.size(); i-- > 0;) spread(links[i].ball, links[i].to);
+    for (const auto& [ball, to] : links) spread(to, ball);
+    for (std::size_t b = 0; b < balls.size(); ++b)
+        if (sides[b].distance > balls[b].kept + complete && !(sides[b].seen * front > 0.0)) return false;
+    return true;
 }
 
 }  // namespace
@@ -94,21 +147,24 @@ SurfaceSide surface_side(ContactSolver& solver, std::span<const SolverBall> ball
     double size = 0.0;
     for (const SolverBall& ball : balls) size = std::max(size, norm(ball.offset - balls[0].offset));
     std::size_t found = 0;
-    for (double c = std::min(solver.cell_mm(), bound_mm);; c = std::min(1.4 * c, bound_mm)) {
+    for (double c = std::min(kFirstLook * solver.mean_edge_mm(), bound_mm);; c = std::min(2.0 * c, bound_mm)) {
         const double granted = solver.gather(c, balls, counters);
         found = nearest_points(solver, balls, same, counters);
-        if (found == balls.size() || (found > 0 && c >= size) || granted < c || c >= bound_mm) break;
+        if (found > 0 && (settle_sides(solver, balls, granted, front) || c >= size)) break;
+        if (granted < c || c >= bound_mm) break;
     }
     candidates.invalidate();
     SurfaceSide side;
-    double least = 1e300;
+    double least = kUnknown;
     for (std::uint32_t b = 0; found > 0 && b < balls.size(); ++b) {
         const BallSide& s = solver.sides()[b];
-        if (s.distance == 1e300) continue;
-        const double length = norm(s.normal);
-        const Vec3 away = s.point * -1.0;
-        const Vec3 normal = length > 0.0 ? s.normal * (1.0 / length) : away * (1.0 / std::max(norm(away), 1e-300));
-        const double distance = dot(away, normal) < 0.0 ? -s.distance : s.distance;
+        if (s.distance == kUnknown) continue;
+        const double length = norm(s.normal), facing = cosine(s);
+        const double sign = (s.seen != 0.0 ? s.seen : facing) < 0.0 ? -1.0 : 1.0;
+        const double distance = sign * s.distance;
+        // A normal that says otherwise is none to go by.
+        const Vec3 normal = length > 0.0 && sign * facing >= 0.0 ? s.normal * (1.0 / length)
+                                                                 : s.point * (-sign / std::max(norm(s.point), 1e-300));
         const double clear = (front == 0.0 ? s.distance : front * distance) - balls[b].kept;
         if (clear >= least) continue;
         least = clear;

@@ -53,10 +53,13 @@ bool Mapper::rest_on_line(ContactSolver& solver, const ContactMemory& memory, do
         const Vec3 lo = n * -within, hi = n * within;
         std::size_t count = 0, crossed = 0;
         counters.tests += candidates.block_count() / 16;  // bounds that are looked at, as in contact.cpp
+        solver.begin_looking();
         for (std::uint32_t i = 0; i < candidates.block_count(); ++i) {
             if (candidates.passes_by(i, lo, hi - lo, 0.0)) continue;
-            counters.tests += 8 * kIntervalTests;
-            for (std::uint32_t k = 0; k < 8; ++k) {
+            solver.look(i, counters);
+            for (std::uint32_t bits = solver.may_touch(i, hi, solver.tolerances().skin); bits != 0; bits &= bits - 1) {
+                const auto k = static_cast<std::uint32_t>(std::countr_zero(bits));
+                counters.tests += kIntervalTests;
                 const Triangle t = candidates.triangle(i, k);
                 const Interval v = blocked(t, {}, n, within, balls[candidates.ball(i)].kept, precision, memory.side);
                 if (v.from > v.to) continue;
@@ -116,8 +119,12 @@ MappingOutcome Mapper::two_sided(ContactSolver& solver, const ContactMemory& mem
         solver.place(before);
         return false;
     };
-    if (rest_on_line(solver, memory, l_in_mm, l_out_mm, several, balls, counters) &&
-        (!several || !solver.closed() || all_in_front()))
+    const auto rests = [&](bool sided) {
+        return rest_on_line(solver, memory, l_in_mm, l_out_mm, sided, balls, counters) &&
+               (!several || (sided && !solver.closed()) || all_in_front());
+    };
+    // Where the nearest rest leaves no ball behind, the whole line need not be looked at.
+    if (rests(false) || (several && rests(true)))
         outcome = MappingOutcome::hit;
     else if (bound_mm > 0.0 && place_on_closest(solver, balls, bound_mm, &memory, counters))
         outcome = MappingOutcome::closest;

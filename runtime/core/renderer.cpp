@@ -25,6 +25,7 @@ struct Renderer::State {
     std::vector<SolverBall> balls;
     std::vector<Vec3> turned;  // scratch: offsets of the next orientation
     ToolTree tree;
+    ToolLinks links;
     Tolerances tolerances;
     double extent_mm = 0.0;
 
@@ -104,7 +105,8 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
     }
     s.turned.resize(s.balls.size());
     s.tree.build(s.tool_centres, s.balls);
-    s.solver.allocate(s.tree, s.balls.size());
+    s.links.build(s.tool_centres, s.balls, std::span(config.balls, config.level_count));
+    s.solver.allocate(s.tree, s.links, s.balls.size());
     s.solver.limit_work(config.work_limit > 0.0 ? config.work_limit : std::numeric_limits<double>::infinity());
     s.mapper.allocate();
     s.forget();

@@ -9,15 +9,15 @@ if TYPE_CHECKING:
     from hapticlod.scan import Scan
 
 
-def check_command(scan: Path, /, *, unit: str = "mm", strict: bool = False, json: bool = False) -> None:
+def check_command(scan: Path, /, *, unit: str | None = None, strict: bool = False, json: bool = False) -> None:
     """Load and clean a scan as `hapticlod tune` would, and print what that found.
 
     Parameters
     ----------
     scan
-        Triangle mesh: STL, PLY, OBJ, OFF or GLB.
+        Triangle mesh: STL, PLY, OBJ, OFF, GLB or 3MF.
     unit
-        Unit of the scan's coordinates.
+        Unit of the scan's coordinates: mm, cm, m, um or in. Default: what the file says, else a guess from its size.
     strict
         Refuse a scan that needs repair (exit status 2) instead of mending it.
     json
@@ -33,7 +33,7 @@ def check_command(scan: Path, /, *, unit: str = "mm", strict: bool = False, json
         out.out(writer.dumps(diagnosis(loaded), indent=2, allow_nan=False))
         return
     size = " x ".join(f"{side:.4g}" for side in loaded.vertices.max(axis=0) - loaded.vertices.min(axis=0))
-    out.print(f"{scan}: {size} mm, read in {unit}", markup=False)
+    out.print(f"{scan}: {size} mm, read in {loaded.unit}", markup=False)
     for line in loaded.report.lines():
         out.print(f"    {line}", markup=False)
     mended = loaded.report.repaired()

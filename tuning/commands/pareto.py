@@ -32,7 +32,7 @@ def pareto_command(
     budgets: str = "",
     points: int | None = None,
     verify: Annotated[bool, Parameter(negative=())] = False,
-    unit: str = "mm",
+    unit: str | None = None,
     station: Path | None = None,
     tool: Path | None = None,
     motions: Annotated[tuple[Path, ...], Parameter(consume_multiple=True, negative=(), show_default=False)] = (),
@@ -46,7 +46,7 @@ def pareto_command(
     Parameters
     ----------
     scan
-        Triangle mesh: STL, PLY, OBJ, OFF or GLB.
+        Triangle mesh: STL, PLY, OBJ, OFF, GLB or 3MF.
     output
         The front to write (JSON).
     budgets
@@ -56,7 +56,7 @@ def pareto_command(
     verify
         Also measure every point in the runtime, on motions kept apart.
     unit
-        Unit of the scan's coordinates.
+        Unit of the scan's coordinates: mm, cm, m, um or in. Default: what the file says, else a guess from its size.
     station
         Station file. Default: a desktop at 1 kHz.
     tool

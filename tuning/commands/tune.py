@@ -30,7 +30,7 @@ def tune_command(
     /,
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
-    unit: str = "mm",
+    unit: str | None = None,
     strict: bool = False,
     station: Path | None = None,
     tool: Path | None = None,
@@ -48,11 +48,11 @@ def tune_command(
     Parameters
     ----------
     scan
-        Triangle mesh: STL, PLY, OBJ, OFF or GLB.
+        Triangle mesh: STL, PLY, OBJ, OFF, GLB or 3MF.
     output
         The bundle to write (.hlod).
     unit
-        Unit of the scan's coordinates.
+        Unit of the scan's coordinates: mm, cm, m, um or in. Default: what the file says, else a guess from its size.
     strict
         Refuse a scan that needs repair instead of mending it; `hapticlod check` shows what it needs.
     station
