@@ -14,7 +14,7 @@ from tuning.space import Space
 
 RUNGS, SUBSETS, CELLS = 4, 2, 3
 TICKS_PER_BIN, BINS_PER_WINDOW, BINS_PER_INSTANT = 4, 4, 4
-BINS, GROUPS = 160, 6
+BINS, GROUPS = 160, 20
 TICKS, INSTANTS = BINS * TICKS_PER_BIN, BINS // BINS_PER_INSTANT
 
 
@@ -46,7 +46,7 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
     rough = np.sort(bins(0.01)[..., None, :INSTANTS] * random.uniform(0, 2, (RUNGS, SUBSETS, 3, INSTANTS)), axis=2)
     perception = load_perception()
     cost_ns = np.exp(random.normal(size=(RUNGS, SUBSETS, TICKS)) * 0.7) * 3e4 / coarse**0.5
-    group = random.permutation(np.arange(BINS // BINS_PER_WINDOW) % GROUPS)
+    group = np.arange(BINS // BINS_PER_WINDOW) % GROUPS
     samples, sizes = group_samples(cost_ns, group)
     samples = np.log(samples)
     entries = np.log(np.sort(cost_ns[..., : len(SWITCH_SHARES)] * 2, axis=-1))[..., None] + np.array([0.0, 0.7, 1.0])
@@ -91,11 +91,7 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
         felt_bins=jnp.arange(BINS),
         cycle=jnp.asarray(np.repeat(np.arange(BINS // 20) % 4, 20)),
         feel=feel,
-        traps=Traps(
-            jnp.asarray(random.uniform(0, 3, (RUNGS, SUBSETS, INSTANTS)) * coarse),
-            jnp.asarray(random.uniform(0, 0.1, (RUNGS, SUBSETS, INSTANTS)) * coarse),
-            jnp.asarray(random.uniform(size=(RUNGS, SUBSETS, INSTANTS)) < 0.2),
-        ),
+        traps=_made_traps(seed, coarse),
         instants=instants,
         cost=cost,
         log_bytes=curves(np.log(1e7 / np.exp(coarseness))[:, None, None] * np.ones((RUNGS, SUBSETS, CELLS))),
@@ -106,6 +102,12 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
         dwell_ticks=0,
         perception=perception,
     )
+
+
+def _made_traps(seed: int, coarse: np.ndarray) -> Traps:
+    random, shape = np.random.default_rng(seed + 1000), (RUNGS, SUBSETS, INSTANTS)
+    caught = random.uniform(0, 0.3, shape) * coarse
+    return Traps(jnp.asarray(caught), jnp.asarray(0.03 * caught), jnp.asarray(random.uniform(size=shape) < 0.2))
 
 
 def made_space() -> Space:

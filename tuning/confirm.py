@@ -9,6 +9,14 @@ from hapticlod.station import Station
 from tuning.explore import Candidate, cost_us, holds
 from tuning.verify import Verifier
 
+# A level more must be worth this, JND: of two that feel alike the simpler is told.
+LEVEL_WORTH = 1e-3
+
+
+def merit(candidate: Candidate) -> float:
+    """Smaller is better: the measured objective, and a trace of simplicity to settle ties."""
+    return candidate.objective + LEVEL_WORTH * len(candidate.config.levels)
+
 
 @dataclass
 class Clock:
@@ -30,7 +38,7 @@ class Clock:
         None: none of the `most` that were asked does.
         """
         asked = 0
-        for candidate in sorted(candidates, key=lambda c: c.objective):
+        for candidate in sorted(candidates, key=merit):
             if not holds(candidate.measured, self.station):
                 continue
             if cost_us(candidate) * self.ratio > self.station.budget_us:

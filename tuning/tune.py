@@ -18,7 +18,7 @@ from hapticlod.station import Station
 from hapticlod.tool import Tool
 from tuning.baselines import baselines as baseline_configs
 from tuning.compile_cache import keep_compiled
-from tuning.confirm import Clock
+from tuning.confirm import Clock, merit
 from tuning.explain import explain
 from tuning.explore import Candidate, Judge, cost_us, explore, holds, limits_of
 from tuning.population import POOLED, check_over, measured_each, measured_objective
@@ -125,7 +125,7 @@ def tune(
     if found is None:
         raise _nothing_fits(candidates, station, clock.ratio)
     chosen, said = found
-    ranked = sorted(candidates, key=lambda c: (c is not chosen, not c.feasible, c.objective))
+    ranked = sorted(candidates, key=lambda c: (c is not chosen, not c.feasible, merit(c)))
     feasible = {name: holds(metrics, station) for name, metrics in baselines.items()}
     predicted = chosen.predicted or search.look(ready.space.point(chosen.config), 1, limits_of(station, 1.0)).predicted
     feasible["tuned"] = True
