@@ -149,7 +149,7 @@ install_package() {
         fail "package: was altered or damaged ($(head -n 1 "$stage/sums")); pack or copy it again"
     station=$stage/package/hapticlod-station
     said=$("$station" --version 2>&1) ||
-        fail "hapticlod-station: does not run on this machine ($(printf %s "$said" | tail -n 1)); ship the static one, make station-static"
+        fail "hapticlod-station: does not run on this machine ($(printf %s "$said" | tail -n 1)); install what it misses (libsodium23, libhidapi-hidraw0), or ship the static one, make station-static"
     say "runs here: $said"
 
     # Trust as it will be after this; it becomes the station's only when everything else was right.
