@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from loopback_station import LoopbackStation, start_station
+from loopback_station import LoopbackStation, stand_in, start_station
 from plate_bundle import TEST_KEY, plate_parts, run_station
 
 import tuning.cli
@@ -204,11 +204,12 @@ def install(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
 @pytest.fixture
 def package(bundles: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
     """A package on a stick, unpacked."""
-    assert tuning.cli.run(["pack", str(bundles[0]), "-o", str(tmp_path / "station.tar")]) == 0
+    program = str(stand_in(tmp_path))
+    assert tuning.cli.run(["pack", str(bundles[0]), "-o", str(tmp_path / "station.tar"), "--station", program]) == 0
     assert "install.sh" in capsys.readouterr().out
     with tarfile.open(tmp_path / "station.tar") as tar:
         tar.extractall(tmp_path, filter="data")
-    (folder,) = tmp_path.glob("hapticlod-*")
+    (folder,) = tmp_path.glob("hapticlod-[0-9]*")
     return folder
 
 

@@ -12,6 +12,7 @@
 #include "io/bundle.hpp"
 #include "io/json_text.hpp"
 #include "station/arguments.hpp"
+#include "station/bundle_trust.hpp"
 #include "station/clock.hpp"
 #include "station/commands.hpp"
 #include "station/histogram.hpp"
@@ -55,7 +56,8 @@ std::string processor() {
     return "unknown";
 }
 
-std::string certificate(const Bundle& bundle, const Qualification& result, const RealTimeRights& rights) {
+std::string certificate(const Bundle& bundle, const TrustVerdict& trust, const Qualification& result,
+                        const RealTimeRights& rights) {
     const std::time_t now = std::time(nullptr);
     std::tm utc{};
     ::gmtime_r(&now, &utc);
@@ -63,6 +65,7 @@ std::string certificate(const Bundle& bundle, const Qualification& result, const
     std::strftime(stamp, sizeof(stamp), "%Y-%m-%dT%H:%M:%SZ", &utc);
     JsonWriter json;
     json.open('{').field("bundle", std::string_view(bundle.path())).field("date", stamp);
+    json.field("signature", std::string_view(trust.text())).field("trusted", trust.trust == Trust::trusted);
     json.field("processor", std::string_view(processor())).field("fifo", rights.fifo);
     json.field("memory_locked", rights.memory_locked);
     json.field("passed", result.forces_equal() && result.in_time());
@@ -95,7 +98,8 @@ void print(const Bundle& bundle, const Qualification& result) {
 }  // namespace
 
 int command_qualify(Words words) {
-    const auto parsed = Arguments::parse(words, {{"BUNDLE"}, {"--out", "--tolerance-n", "--cpu"}, {"--json"}});
+    const auto parsed = Arguments::parse(
+        words, {{"BUNDLE"}, {"--out", "--tolerance-n", "--cpu", "--trusted-keys"}, {"--json", "--accept-unsigned"}});
     if (!parsed) return refuse(parsed.fault());
     const Arguments& arguments = parsed.value();
     // The same x86-64 machine code gives the same bits; elsewhere rounding may differ in the last place.
@@ -106,6 +110,8 @@ int command_qualify(Words words) {
     const auto opened = Bundle::open(arguments.positional(0));
     if (!opened) return refuse(opened.fault());
     const Bundle& bundle = opened.value();
+    const auto trust = require_trust(bundle, arguments);
+    if (!trust) return refuse(trust.fault());
     const auto motion = bundle.golden_motion();
     const auto golden = bundle.golden_record();
     if (golden.empty()) {
@@ -137,7 +143,7 @@ int command_qualify(Words words) {
             if (round == 0) compare(record, golden[i], i, result);
         }
     }
-    const std::string json = certificate(bundle, result, rights);
+    const std::string json = certificate(bundle, trust.value(), result, rights);
     if (const auto path = arguments.option("--out")) {
         if (const auto fault = write_file_atomic(*path, json + "\n")) return refuse(*fault);
     }

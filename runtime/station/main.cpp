@@ -37,7 +37,7 @@ constexpr const char* kHelp =
     "      What on this machine stands in a loop's way, each with its remedy.\n"
     "  calibrate -o STATION.toml [--device NAME] [--rate HZ] [--name TEXT] [--cpu N] [--quick]\n"
     "      Measures this machine for hapticlod tune --station: what work costs, wake-ups, caches. Some 10 s.\n"
-    "  qualify BUNDLE [-o CERTIFICATE.json] [--tolerance-n N] [--cpu N] [--json]\n"
+    "  qualify BUNDLE [-o CERTIFICATE.json] [--tolerance-n N] [--cpu N] [--json] [--accept-unsigned]\n"
     "      Replays the golden motion here: forces as recorded, p99.9 within the budget? Status 0 passed, 1 failed.\n"
     "  replay BUNDLE MOTION.csv OUT.csv\n"
     "      Renders a motion (t_s,x_mm,y_mm,z_mm[,qw,qx,qy,qz]) offline and writes what every tick gave.\n"

@@ -121,7 +121,9 @@ install_service() {
     getent passwd hapticlod >/dev/null || as_root useradd --system --gid hapticlod --no-create-home hapticlod
     sed "s|@ROOT@|$root|g" "$1/hapticlod-station.service" >"$1/unit"
     as_root install -m 644 "$1/unit" "/etc/systemd/system/$service.service"
-    as_root install -m 644 "$1/70-hapticlod.rules" /etc/udev/rules.d/70-hapticlod.rules
+    # For the service's group as well as for who sits at the machine.
+    sed 's|TAG+="uaccess"|GROUP="hapticlod", MODE="0660", &|' "$1/70-hapticlod.rules" >"$1/rules"
+    as_root install -m 644 "$1/rules" /etc/udev/rules.d/70-hapticlod.rules
     [ -e "$root/station.env" ] || printf '# Of the service: the device, and more words for hapticlod-station run.\nDEVICE=sim\nOPTIONS=\n' >"$root/station.env"
     as_root systemctl daemon-reload
     as_root udevadm control --reload || :
@@ -168,8 +170,8 @@ install_package() {
         "$station" doctor >doctor.txt 2>&1 && say "doctor: well" || say "doctor: found something, see releases/$id/doctor.txt"
     fi
     if knows qualify; then
-        "$station" qualify bundle.hlod $accept >qualify.txt 2>&1 ||
-            fail "qualify: this machine does not pass ($(tail -n 1 qualify.txt)); tune for it, or choose another machine"
+        "$station" qualify bundle.hlod -o certificate.json $accept >qualify.txt 2>&1 ||
+            fail "qualify: this machine does not pass ($( (grep FAIL qualify.txt || cat qualify.txt) | head -n 1 | tr -s ' ')); tune for it, or choose another machine"
         say "qualify: passed"
     else
         say "qualify: this hapticlod-station has none"
