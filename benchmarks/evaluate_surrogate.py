@@ -89,7 +89,11 @@ def evaluate_command(
         f"{cleaned.name}, {held.name}, {target.name}: {len(trials)} configurations; surrogate from "
         f"{about['ticks_seen']} ticks, measured on {about['ticks_apart']} others"
     )
-    Console(highlight=False).print(_table(found, title))
+    out = Console(highlight=False)
+    out.print(_table(found, title))
+    for key, score in found["clock"].items():
+        ratios = " ".join(f"{score[name]:.2f}" for name in ("ratio_p5", "ratio_p50", "ratio_p95"))
+        out.print(f"{key} counted over timed, single runs: {ratios} (5, 50, 95 %)", soft_wrap=True)
     if json is not None:
         write_json(json, {**about, **found})
 

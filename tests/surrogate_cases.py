@@ -6,14 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from hapticlod.perception import load_perception
-from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_sizes, window_samples
+from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_samples
 from hapticlod.surrogate.ladder_curves import ladder_curves
 from hapticlod.surrogate.measurement import Feel, Instants, LadderMeasurement
+from hapticlod.surrogate.traps import Traps
 from tuning.space import Space
 
 RUNGS, SUBSETS, CELLS = 4, 2, 3
 TICKS_PER_BIN, BINS_PER_WINDOW, BINS_PER_INSTANT = 4, 4, 4
-BINS = 160
+BINS, GROUPS = 160, 20
 TICKS, INSTANTS = BINS * TICKS_PER_BIN, BINS // BINS_PER_INSTANT
 
 
@@ -45,8 +46,10 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
     rough = np.sort(bins(0.01)[..., None, :INSTANTS] * random.uniform(0, 2, (RUNGS, SUBSETS, 3, INSTANTS)), axis=2)
     perception = load_perception()
     cost_ns = np.exp(random.normal(size=(RUNGS, SUBSETS, TICKS)) * 0.7) * 3e4 / coarse**0.5
-    samples = np.log(window_samples(cost_ns, TICKS_PER_BIN * BINS_PER_WINDOW))
-    entries = np.log(np.sort(cost_ns[..., : len(SWITCH_SHARES)] * 2, axis=-1))[..., None] + np.array([0.0, 0.7])
+    group = np.arange(BINS // BINS_PER_WINDOW) % GROUPS
+    samples, sizes = group_samples(cost_ns, group)
+    samples = np.log(samples)
+    entries = np.log(np.sort(cost_ns[..., : len(SWITCH_SHARES)] * 2, axis=-1))[..., None] + np.array([0.0, 0.7, 1.0])
     cell_edges = np.array([1.5, 4.0, 10.0])
     instants = Instants(
         offset_n=jnp.asarray(random.normal(size=(RUNGS, SUBSETS, INSTANTS, 3)) * 0.1 * coarse[..., None]),
@@ -70,9 +73,11 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
         switch=curves(entries),
         free_switch=curves(entries - 1.0),
         log_reach=jnp.log(jnp.array([0.2, 2.0])),
+        steps=jnp.array([1.2, 3.0]),
         contact=jnp.asarray(random.uniform(0.3, 1.0, BINS)),
         cells=cell_factors(cell_edges, random.uniform(0, 0.6, (RUNGS, SUBSETS, CELLS, 2))),
-        sizes=jnp.asarray(group_sizes(TICKS_PER_BIN * BINS_PER_WINDOW), dtype=float),
+        sizes=jnp.asarray(sizes),
+        group=jnp.asarray(group),
         spread=jnp.asarray(0.02),
     )
     return LadderMeasurement(
@@ -86,6 +91,7 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
         felt_bins=jnp.arange(BINS),
         cycle=jnp.asarray(np.repeat(np.arange(BINS // 20) % 4, 20)),
         feel=feel,
+        traps=_made_traps(seed, coarse),
         instants=instants,
         cost=cost,
         log_bytes=curves(np.log(1e7 / np.exp(coarseness))[:, None, None] * np.ones((RUNGS, SUBSETS, CELLS))),
@@ -96,6 +102,12 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
         dwell_ticks=0,
         perception=perception,
     )
+
+
+def _made_traps(seed: int, coarse: np.ndarray) -> Traps:
+    random, shape = np.random.default_rng(seed + 1000), (RUNGS, SUBSETS, INSTANTS)
+    caught = random.uniform(0, 0.3, shape) * coarse
+    return Traps(jnp.asarray(caught), jnp.asarray(0.03 * caught), jnp.asarray(random.uniform(size=shape) < 0.2))
 
 
 def made_space() -> Space:

@@ -11,9 +11,14 @@ from surrogate_cases import made_measurement, made_space
 import tuning
 import tuning.cli
 from hapticlod.config import Level, LodConfig
+from hapticlod.shipped import shipped_config
+from hapticlod.station import load_station
 from tuning.commands.pareto import front_table
+from tuning.commands.tune import DEFAULT_STATION
+from tuning.explore import Candidate
 from tuning.front import Front, FrontPoint, follow
 from tuning.search import Limits, Search
+from tuning.verified_front import best_of
 
 BUDGETS_US = [60.0, 180.0, 220.0, 300.0, 600.0]
 SPACE = made_space()
@@ -94,3 +99,15 @@ def test_what_cannot_be_asked_for(options, named, tmp_path: Path, capsys):
     line = capsys.readouterr().err.splitlines()[-1]
     assert named in line and "; " in line
     assert not (tmp_path / "front.json").exists()
+
+
+def candidate(objective: float, cost_us: float) -> Candidate:
+    metrics = {"loop_cost_p999_us": cost_us, "memory_mb": 1.0}
+    return Candidate(point(100.0).config, {}, metrics, objective, True)
+
+
+def test_what_was_measured_for_one_budget_serves_every_budget_that_it_holds():
+    station = load_station(shipped_config(DEFAULT_STATION))
+    made = [candidate(3.0, 90.0), candidate(2.0, 150.0), candidate(2.5, 190.0), candidate(1.0, 400.0)]
+    found = [best_of(made, budget_us, station) for budget_us in (50.0, 100.0, 200.0, 500.0)]
+    assert [(p.candidate.objective, p.holds) for p in found] == [(3.0, False), (3.0, True), (2.0, True), (1.0, True)]

@@ -75,7 +75,7 @@ def test_the_search_serves_whom_it_is_asked_to_serve(measured):
 
 
 def test_measured_motions_are_measured_alone(monkeypatch):
-    verifier = SimpleNamespace(key="", records=lambda config, repeats: ["a", "b"], reference=lambda: ["A", "B"])
+    verifier = SimpleNamespace(key="", records=lambda config: ["a", "b"], reference=lambda: ["A", "B"])
     monkeypatch.setattr(population, "measure", lambda record, reference: {"pair": record + reference})
     config = LodConfig(levels=(Level(triangles=100, cell_mm=1.0),))
     assert measured_each(verifier, config) == [{"pair": "aA"}, {"pair": "bB"}]

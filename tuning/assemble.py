@@ -8,19 +8,27 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
-from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_sizes, window_samples
+from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_samples
 from hapticlod.surrogate.ladder_curves import LadderCurves, ladder_curves
 from hapticlod.surrogate.measurement import Feel, Instants, LadderMeasurement
+from hapticlod.surrogate.traps import Traps
 from tuning.grid import Clock, Grid
 from tuning.level_fields import WINDOWS_S, Reference
 from tuning.replays import Tour
+from tuning.split_traps import split_traps
 
 Array = NDArray[np.float64]
 
 _FEWEST_ENTRIES = 8
 _TAIL_SHARE = 0.02
-_LEAST_SPREAD = 0.02
+# Quantiles of a level's ticks between which a cost passes from body to tail.
+_TAIL_FROM = (0.9, 0.99)
+# Costs are counted and have no noise: quantiles are smoothed only as far as slopes need it, in ln cost.
+_SPREAD = 0.03
+# Of a group of windows that share a distribution of costs: its size, and the cut-off of the speed they share.
+_GROUP_TICKS, _GROUP_HZ = 512, 13.0
 # The number of contact cycles is a shape: in steps, so that compiled code fits other motions.
 _CYCLE_STEP = 64
 
@@ -33,12 +41,13 @@ class LadderData:
         grid, clock: where and when. `felt_clock`: the part of each motion, from its beginning, that shows the feel.
         fields: by name (R, B, ...), of `tuning.level_fields.level_fields`.
         velocity_mm_s, contact: (T, 3) and (T,) of the hand, and whether the finest level touches.
-        cost_ns: (R, B, T) of a tick, on the station, by its counters. `cost_spread`: what time adds to that, in ln.
+        cost_ns: (R, B, T) of a tick, on the station, by its counters.
         reference: of the finest level, over the feel's part.
         tour: of switches, over the feel's part.
-        switch_ns, free_switch_ns: (R, B, M, 2) cost of ticks that enter a level, on the station, in contact and out of
-            it: one value for each of the shares `hapticlod.surrogate.cost.SWITCH_SHARES`, cheapest first.
-        reach_mm: the two mapping lengths that this was measured with.
+        switch_ns, free_switch_ns: (R, B, M, 3) cost of ticks that enter a level, on the station, in contact and out of
+            it: one value for each of the shares `hapticlod.surrogate.cost.SWITCH_SHARES`, cheapest first; from the next
+            rung with a short mapping length and with a long one, and with the long one from a rung far away.
+        reach_mm: the two mapping lengths. steps: |ln N - ln N'| of a next rung and of one far away.
         cell_rungs: rungs whose other cell sizes were sampled.
         cell_cost: (S, B, H, 2) mean cost, and mean cost of the dearest ticks, by cell size, at these rungs.
         level_bytes: (R,) with the replays' cells; cell_bytes: (S, H).
@@ -51,12 +60,12 @@ class LadderData:
     velocity_mm_s: Array
     contact: NDArray[np.bool_]
     cost_ns: Array
-    cost_spread: float
     reference: Reference
     tour: Tour
     switch_ns: Array
     free_switch_ns: Array
     reach_mm: tuple[float, float]
+    steps: tuple[float, float]
     cell_rungs: tuple[int, ...]
     cell_cost: Array
     level_bytes: Array
@@ -78,7 +87,8 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
     def curves(values: Array) -> LadderCurves:
         return ladder_curves(coarseness, values)
 
-    feel = Feel(**{name: curves(data.fields[name]) for name in Feel.__dataclass_fields__})
+    fields, traps = _without_traps(data)
+    feel = Feel(**{name: curves(fields[name]) for name in Feel.__dataclass_fields__})
     cycle = felt.binned(reference.cycle)[:, -1]
     tick_s = 1.0 / clock.loop_hz
     log_bytes = np.log(data.level_bytes)[:, None, None] + _cell_bytes(data)[:, None, :]
@@ -93,6 +103,7 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
         felt_bins=jnp.asarray(_felt_bins(clock, felt)),
         cycle=jnp.asarray(cycle),
         feel=feel,
+        traps=traps,
         instants=_instants(data, stiffness_n_mm),
         cost=_cost_model(data, curves),
         log_bytes=curves(log_bytes),
@@ -133,6 +144,25 @@ def _instants(data: LadderData, stiffness_n_mm: float) -> Instants:
     )
 
 
+def _without_traps(data: LadderData) -> tuple[dict[str, Array], Traps]:
+    """The fields without what rungs owe to their past, and that."""
+    clock, reference = data.felt_clock, data.reference
+    bins, per = clock.bins_per_instant, clock.ticks_per_instant
+    at = np.arange(per - 1, clock.ticks, per)
+
+    def instants(values: Array) -> Array:
+        return values.reshape(*values.shape[:-1], -1, bins).mean(axis=-1)
+
+    felt, force_sq = instants(data.fields["felt"]), instants(data.fields["force_sq"])
+    fresh = np.einsum("rbik,rbik->rbi", data.tour.offset_n, data.tour.offset_n) * reference.felt_per_n2[at]
+    excess, begins = split_traps(felt, fresh, clock.marks(per))
+    share = excess / np.maximum(felt, 1e-12)
+    left = 1.0 - np.repeat(share, bins, axis=-1)
+    cleared = {name: data.fields[name] * left for name in ("felt", "force_sq")}
+    traps = Traps(jnp.asarray(excess), jnp.asarray(force_sq * share), jnp.asarray(begins))
+    return {**data.fields, **cleared}, traps
+
+
 def _felt_bins(clock: Clock, felt: Clock) -> NDArray[np.intp]:
     """(n,) bins of the feel's part among all: the first of every motion."""
     per = clock.ticks_per_bin
@@ -150,10 +180,11 @@ def _without_strays(gap_mm: Array, touching: NDArray[np.bool_]) -> Array:
 
 def _cost_model(data: LadderData, curves) -> CostModel:
     clock = data.clock
-    window = clock.ticks_per_bin * clock.bins_per_window
-    samples = np.log(np.maximum(window_samples(data.cost_ns, window), 1.0))
-    # A sample belongs to its level's tail where it is dearer than all but a fiftieth of the level's ticks.
-    body, tail = (np.quantile(samples, q, axis=(2, 3), keepdims=True) for q in (0.8, 0.99))
+    group = cost_groups(data.velocity_mm_s, clock)
+    counted, sizes = group_samples(data.cost_ns, group)
+    samples = np.log(np.maximum(counted, 1.0))
+    # A sample belongs to its level's body or to its tail by where it lies among all of the level's ticks.
+    body, tail = np.log(np.maximum(np.quantile(data.cost_ns, _TAIL_FROM, axis=2), 1.0))[..., None, None]
     share = np.clip((samples - body) / np.maximum(tail - body, 1e-3), 0.0, 1.0)
     cost = np.maximum(data.cell_cost, 1.0)
     factors = np.log(cost / cost[:, :, data.grid.base_cell : data.grid.base_cell + 1])
@@ -163,11 +194,30 @@ def _cost_model(data: LadderData, curves) -> CostModel:
         switch=curves(np.log(np.maximum(data.switch_ns, 1.0))),
         free_switch=curves(np.log(np.maximum(data.free_switch_ns, 1.0))),
         log_reach=jnp.log(jnp.array(data.reach_mm)),
+        steps=jnp.array(data.steps),
         cells=cell_factors(np.array(data.grid.cell_edges), _along_rungs(data, factors)),
         contact=jnp.asarray(clock.binned(data.contact.astype(np.float64)).mean(axis=1)),
-        sizes=jnp.asarray(group_sizes(window), dtype=samples.dtype),
-        spread=jnp.asarray(max(data.cost_spread, _LEAST_SPREAD)),
+        sizes=jnp.asarray(sizes),
+        group=jnp.asarray(group),
+        spread=jnp.asarray(_SPREAD),
     )
+
+
+def cost_groups(velocity_mm_s: Array, clock: Clock) -> NDArray[np.intp]:
+    """(windows,) group of each window: about `_GROUP_TICKS` ticks of one motion at about one speed of the hand."""
+    window = clock.ticks_per_bin * clock.bins_per_window
+    gain = np.exp(-2 * np.pi * _GROUP_HZ / clock.loop_hz)
+    number, speed, at = [], [], 0
+    for motion, ticks in enumerate(clock.motion_ticks):
+        smooth = lfilter([1 - gain], [1, -gain], velocity_mm_s[at : at + ticks], axis=0)
+        speed.append(np.linalg.norm(smooth, axis=1).reshape(-1, window).mean(axis=1))
+        number.append(np.full(ticks // window, motion))
+        at += ticks
+    order = np.lexsort((np.concatenate(speed), np.concatenate(number)))
+    group = np.empty(len(order), dtype=np.intp)
+    parts = max(1, round(len(order) * window / _GROUP_TICKS))
+    group[order] = np.arange(len(order)) * parts // len(order)
+    return group
 
 
 def entry_costs(cost: Array, touched: NDArray[np.bool_], ordinary: Array) -> tuple[Array, Array]:

@@ -29,6 +29,7 @@ _FLOOR_NS = 200.0  # below this a tick's time is mostly the clock's
 _MOST_TICKS = 40_000
 _CACHE_MB = 32.0
 _CURVE_STEP, _FEWEST_ON_CURVE = 0.5 * np.log(2.0), 20
+_TOGETHER = 0.3  # how far ln(time / counted) of undisturbed ticks of one size spreads
 
 
 def calibrate(
@@ -143,28 +144,28 @@ NO_CURVE = PriceCurve(np.zeros(1), np.zeros(1))
 
 
 def price_curve(time_ns: Array, counted_ns: Array) -> PriceCurve:
-    """Medians per half octave; those of few ticks are left out."""
+    """The commonest ratio per half octave; ticks that are few there are left out.
+
+    Not the median: on a busy machine most of the longest ticks lose the processor once, and the operating system would
+    be priced in.
+    """
     log = np.log(np.maximum(counted_ns, 1.0))
     ratio = np.log(np.maximum(time_ns, 1.0)) - log
     place = np.floor(log / _CURVE_STEP).astype(int)
     order = np.argsort(place, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(place[order])) + 1)
-    knots = [(np.median(log[g]), np.median(ratio[g])) for g in groups if len(g) >= _FEWEST_ON_CURVE]
+    knots = [(np.median(log[g]), commonest(ratio[g])) for g in groups if len(g) >= _FEWEST_ON_CURVE]
     if not knots:
         return PriceCurve(np.zeros(1), np.array([np.median(ratio) if len(ratio) else 0.0]))
     return PriceCurve(*np.array(knots).T)
 
 
-def residual_spread(rows: Sequence[NDArray], counted_ns: Sequence[Array]) -> float:
-    """Scale of the logistic distribution of ln(time / counted cost) among the dearest tenth of ticks.
-
-    Args:
-        rows: timed, the least of several runs each. counted_ns: by their counters.
-    """
-    counted = np.concatenate(counted_ns)
-    log = np.log(np.maximum(np.concatenate([r["cost_ns"] for r in rows]), 1.0) / np.maximum(counted, 1.0))
-    low, high = np.quantile(log[counted >= np.quantile(counted, 0.9)], (0.25, 0.75))
-    return float(high - low) / (2.0 * np.log(3.0))
+def commonest(values: Array) -> float:
+    """Where most values lie together: the median of those in the fullest interval of a width, the lowest if several."""
+    ordered = np.sort(values)
+    count = np.searchsorted(ordered, ordered + _TOGETHER, side="right") - np.arange(len(ordered))
+    first = int(np.argmax(count))
+    return float(np.median(ordered[first : first + count[first]]))
 
 
 def without_interrupts(rows: NDArray, counted_ns: Array) -> Array:

@@ -32,7 +32,7 @@ def document(result: TuneResult) -> dict[str, Any]:
     config = as_built(result)
     levels = [{"triangles": x.triangles, "cell_mm": x.cell_mm, "balls": x.balls} for x in config.levels]
     baselines = {
-        _key(name): {**_numbers(metrics), "feasible": result.feasible[name]}
+        _key(name): {**_numbers(metrics), "feasible": result.feasible[name], "ticks": result.ticks[name]}
         for name, metrics in result.baselines.items()
     }
     return {
@@ -46,8 +46,10 @@ def document(result: TuneResult) -> dict[str, Any]:
         "dwell_ms": config.dwell_ms,
         "mapping": config.mapping,
         "feasible": result.feasible["tuned"],
+        "ticks": result.ticks["tuned"],
         "predicted": _numbers(result.predicted),
         "measured": _numbers(result.measured),
+        "clock": _numbers(result.clock),
         "baselines": baselines,
         "stages_s": {name: round(seconds, 3) for name, seconds in result.stages_s.items()},
         "population": result.population,

@@ -7,6 +7,9 @@ The ceiling of a metric is the rank correlation of two measurements that share n
 of every motion kept apart. A prediction is made from motions of its own and cannot be expected to agree with a
 measurement better than measurements agree with each other. Each half is shorter than the whole, so the ceiling is a
 little low: a surrogate made from more ticks than a half may rise above it.
+
+Costs are measured as tuning measures them, by counters at this machine's prices. `clock` sets them against the clock:
+counted cost over the time that the same run took, interrupts taken out; single runs, so the machine's noise is in it.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from hapticlod.replay import Record
 from hapticlod.station import Station
 from tuning.prepare import Prepared
 from tuning.search import Limits, Search, objective
-from tuning.verify import Verifier
+from tuning.verify import Verifier, clock_metrics
 
 OBJECTIVE = "objective"
 Metrics = dict[str, float]
@@ -34,12 +37,13 @@ Metrics = dict[str, float]
 
 @dataclass(frozen=True)
 class Trial:
-    """One configuration: predicted, measured, and measured on either half of the motions."""
+    """One configuration: predicted, measured, measured on either half of the motions; its loop cost by the clock."""
 
     config: LodConfig
     predicted: Metrics
     measured: Metrics
     halves: tuple[Metrics, Metrics]
+    clock: Metrics
 
     @property
     def triangles(self) -> int:
@@ -69,12 +73,12 @@ def evaluate(
         # Predicted is what will be measured: counts rounded, as the configuration has them.
         point = ready.space.point(config)
         predicted = _with_objective(search.look(point, len(config.levels), limits).predicted, station)
-        records = verifier.records(config)
+        records, times = verifier.runs_of(config)
         whole = _with_objective(measure(records, references), station)
         halves = tuple(
             _with_objective(measure(_half(records, part), _half(references, part)), station) for part in (0, 1)
         )
-        trials.append(Trial(config, predicted, whole, (halves[0], halves[1])))
+        trials.append(Trial(config, predicted, whole, (halves[0], halves[1]), clock_metrics(times)))
     told("predict and measure", 1.0)
     return trials
 
@@ -117,7 +121,12 @@ def scores(trials: Sequence[Trial]) -> dict[str, Any]:
         trivial = _score(triangles, measured)
         by_triangles[key] = {name: _unsigned(trivial[name]) for name in ("spearman", "kendall")}
         by_constant[key] = _score(np.full_like(measured, np.median(measured)), measured)
-    return {"metrics": metrics, "baselines": {"total_triangles": by_triangles, "constant": by_constant}}
+    clock = {
+        key: _score(np.array([t.measured[key] for t in trials]), np.array([t.clock[key] for t in trials]))
+        for key in trials[0].clock
+    }
+    trivial = {"total_triangles": by_triangles, "constant": by_constant}
+    return {"metrics": metrics, "clock": clock, "baselines": trivial}
 
 
 def _score(predicted: NDArray[np.float64], measured: NDArray[np.float64]) -> dict[str, float | None]:

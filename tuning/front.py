@@ -18,11 +18,12 @@ from hapticlod.station import Station
 from hapticlod.tool import Tool
 from tuning.baselines import finest_only
 from tuning.compile_cache import keep_compiled
-from tuning.population import POOLED, check_over
+from tuning.population import POOLED, check_over, measured_objective
 from tuning.prepare import Prepared, Progress, Stages, prepare
 from tuning.search import MARGIN, Found, Limits, Search
 from tuning.sensitivity import Optimum, marginal_value
 from tuning.space import Space
+from tuning.verified_front import Point, verified_points
 from tuning.verify import Verifier
 
 MOST_POINTS = 50
@@ -39,7 +40,7 @@ class FrontPoint:
     Attributes:
         budget_us: p99.9 that a tick may cost.
         config: levels, speeds and the rest.
-        predicted: its metrics by the surrogate. objective: what was minimised, by the surrogate.
+        predicted: its metrics by the surrogate. objective: what was minimised, by the surrogate; measured, if it was.
         fits: whether the surrogate sees it within budget and memory.
         marginal: d(objective)/d(budget), per us, at most 0; None where the search did not end at a minimum.
         measured: its metrics in the runtime on motions kept apart, if that was asked for.
@@ -99,7 +100,8 @@ def pareto(
         station: its budget does not matter.
         budgets_us: the budgets; None: `points` of them, from a little more than the cheapest configuration costs to
             what the full scan costs, by the surrogate, and no more than the loop's period.
-        verify: also measure every point in the runtime, on motions kept apart.
+        verify: also measure every point in the runtime, on motions kept apart; what does not hold its budget is
+            searched again, and the best that was measured to hold it is what is told.
 
     Raises:
         InputError: budgets that no station can have, or what `prepare` raises.
@@ -122,17 +124,24 @@ def pareto(
     counts = [k for k in range(levels[0], levels[1] + 1) if ready.space.fits(k)] or [1]
     asked = budgets_us or _budgets_us(search, ready, tool, station, points)
     best = follow(search, ready.space, counts, asked, station.memory_mb, seed, stages)
-    made = []
+    made, optima = [], []
     for budget_us, (count, found) in zip(asked, best, strict=True):
         config = ready.space.config(found.x, count, f"{budget_us:g} us")
         # Predicted is what would be built: counts rounded.
         limits, used = Limits(budget_us, station.memory_mb), len(config.levels)
         built = search.look(ready.space.point(config), used, limits)
-        marginal = marginal_value(search, ready.space, Optimum(found.x, count, limits), budget_us)
+        optima.append(Optimum(found.x, count, limits))
+        marginal = marginal_value(search, ready.space, optima[-1], budget_us)
         fits = found.excess <= _HELD
         made.append(FrontPoint(budget_us, config, built.predicted, built.objective, fits, marginal))
     if verify:
-        made = _verified(made, ready, tool, station, stages)
+        verifier = Verifier(ready.ladder, tool, station, ready.apart, ready.costing, ready.key)
+        found = [found for _, found in best]
+        points_ = verified_points(
+            optima, found, search, ready.space, verifier, station,
+            lambda config, metrics: measured_objective(verifier, config, metrics, over), seed, stages,
+        )  # fmt: skip
+        made = [_measured(old, new) for old, new in zip(made, points_, strict=True)]
     stages.close()
     return Front(tuple(made), stages.seconds)
 
@@ -189,23 +198,18 @@ def _budgets_us(search: Search, ready: Prepared, tool: Tool, station: Station, p
     return sorted({min(budget, station.period_us) for budget in rounded})
 
 
-def _verified(
-    made: list[FrontPoint], ready: Prepared, tool: Tool, station: Station, told: Progress
-) -> list[FrontPoint]:
-    """Every point with what the runtime gave. A budget is part of the runtime's settings: it limits a tick's work."""
-    told("verify in the runtime", 0.0)
-    free = station.adjusted(budget_us=station.period_us)
-    reference = Verifier(ready.ladder, tool, free, ready.apart, ready.costing).reference()
-    out = []
-    for i, point in enumerate(made):
-        there = station.adjusted(budget_us=point.budget_us)
-        key = f"{ready.key} front {point.budget_us!r}"
-        verifier = Verifier(ready.ladder, tool, there, ready.apart, ready.costing, key, _reference=reference)
-        measured = verifier.measured(point.config)
-        holds = measured["loop_cost_p999_us"] <= point.budget_us and measured["memory_mb"] <= station.memory_mb
-        out.append(replace(point, measured=measured, holds=holds))
-        told("verify in the runtime", (i + 1) / len(made))
-    return out
+def _measured(predicted: FrontPoint, found: Point) -> FrontPoint:
+    """What stands for a budget once it was measured. The marginal value stays the surrogate's at this budget."""
+    candidate = found.candidate
+    config = candidate.config.changed(name=predicted.config.name)
+    return replace(
+        predicted,
+        config=config,
+        predicted=candidate.predicted,
+        objective=candidate.objective,
+        measured=candidate.measured,
+        holds=found.holds,
+    )
 
 
 def _numbers(metrics: Mapping[str, float]) -> dict[str, float | None]:

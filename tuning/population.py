@@ -43,7 +43,7 @@ def measured_each(verifier: Verifier, config: LodConfig) -> list[dict[str, float
     key = kept.key_of("each", verifier.key, config.changed(name="").model_dump_json())
     found = kept.load("each", key) if verifier.key else None
     if found is None:
-        pairs = zip(verifier.records(config, 1), verifier.reference(), strict=True)
+        pairs = zip(verifier.records(config), verifier.reference(), strict=True)
         found = [measure(record, reference) for record, reference in pairs]
         if verifier.key:
             kept.store("each", key, found)
@@ -53,3 +53,15 @@ def measured_each(verifier: Verifier, config: LodConfig) -> list[dict[str, float
 def measured_over(disturbances: list[float], over: str) -> float:
     """The mean or the largest: exactly, as the final choice is made."""
     return float(np.mean(disturbances) if over == MEAN else np.max(disturbances))
+
+
+def measured_objective(verifier: Verifier, config: LodConfig, metrics: dict[str, float], over: str) -> float:
+    """What is minimised, by what was measured: `metrics` are the configuration's over all motions together."""
+    from tuning.search import disturbance, objective
+
+    pooled = float(objective(metrics, verifier.station.budget_us))
+    if over == POOLED:
+        return pooled
+    felt = [disturbance(m["felt_error_jnd"], m["discontinuity_per_s"]) for m in measured_each(verifier, config)]
+    together = disturbance(metrics["felt_error_jnd"], metrics["discontinuity_per_s"])
+    return pooled - together + measured_over(felt, over)

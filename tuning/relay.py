@@ -2,10 +2,13 @@
 
 A tour (`tuning.replays`) puts the hand where it wants to look; that makes its ticks dear. Here the hand moves as it
 does on the station, only the level is changed for it, so a tick that enters a level costs what it will cost there.
+The further apart two levels are, the further the tool has to move, so there are relays from rung to rung and relays
+that leap over several.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -26,9 +29,9 @@ Entries = dict[tuple[int, int], NDArray]
 
 def relay_ladder(
     bench: Bench, levels: Sequence[Any], motions: Sequence[Motion], clock: Clock, l_mm: float, threads: int,
-    done: Callable[[float], None],
+    done: Callable[[float], None], leaping: bool = False,
 ) -> tuple[Entries, dict[tuple[int, int], NDArray[np.bool_]]]:  # fmt: skip
-    """Hands the level up and down the ladder, one rung per instant.
+    """Hands the level up and down the ladder, one rung per instant, or leaping over several.
 
     Args:
         levels: of all rungs.
@@ -36,13 +39,15 @@ def relay_ladder(
         l_mm: mapping length, each side.
         threads: replays at once.
         done: told the share that is done.
+        leaping: over about two fifths of the ladder at a time.
 
     Returns:
         By (rung, subset): rows of RECORD_DTYPE of the ticks that entered it, and whether they, or the ticks before,
         were in contact. Empty where the ladder has one rung only.
     """
     rungs, subsets = bench.grid.shape
-    stops = [(r, b) for b in range(subsets) for r in range(rungs)]
+    order = leaps(rungs) if leaping else list(range(rungs))
+    stops = [(r, b) for b in range(subsets) for r in order]
     # Legs share their end stops, so that every step of the ladder is taken.
     size = MOST_RUNTIME_LEVELS - 1
     legs = [stops[i : i + size + 1] for i in range(0, max(len(stops) - 1, 1), size)]
@@ -68,6 +73,18 @@ def relay_ladder(
         {stop: np.concatenate(parts) for stop, parts in entries.items()},
         {stop: np.concatenate(parts) for stop, parts in contacts.items()},
     )
+
+
+def leaps(rungs: int) -> list[int]:
+    """All rungs in an order in which neighbours are about two fifths of the ladder apart, or three."""
+    stride = next((k for k in range(max(1, round(0.4 * rungs)), rungs) if math.gcd(k, rungs) == 1), 1)
+    return [i * stride % rungs for i in range(rungs)]
+
+
+def mean_step(order: Sequence[int], triangles: Sequence[int]) -> float:
+    """Mean |ln N - ln N'| of rungs that follow each other; 0 where there is one only."""
+    log = np.log(np.array(triangles, dtype=np.float64))[list(order)]
+    return float(np.abs(np.diff(log)).mean()) if len(log) > 1 else 0.0
 
 
 def _entered(renderer: Any, motion: Motion, clock: Clock, count: int) -> tuple[list[NDArray], list[NDArray[np.bool_]]]:

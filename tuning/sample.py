@@ -21,12 +21,11 @@ from tuning.calibrate import (
     calibrate,
     counted_cost_ns,
     price_curve,
-    residual_spread,
     without_interrupts,
 )
 from tuning.grid import Clock
 from tuning.level_fields import level_fields, make_reference
-from tuning.relay import relay_ladder
+from tuning.relay import leaps, mean_step, relay_ladder
 from tuning.replays import Bench, replay_fixed, tour_ladder
 
 Array = NDArray[np.float64]
@@ -49,28 +48,41 @@ def threads() -> int:
 class Costing:
     """How this machine's time becomes the station's.
 
-    `here` are this machine's coefficients, `curve` what they get wrong by the size of a tick. A station with
-    coefficients of its own is taken to do the same counted work at its own prices; what nobody counts is taken to cost
-    in proportion. `slowdown` multiplies everything.
+    `here` are this machine's coefficients, `curve` what they get wrong by the size of a tick, and `entering` the same
+    of ticks that enter a level. A station with coefficients of its own is taken to do the same counted work at its own
+    prices; what nobody counts is taken to cost in proportion. `slowdown` multiplies everything.
     """
 
     here: CostCoefficients
     station: Station
     curve: PriceCurve = NO_CURVE
+    entering: PriceCurve = NO_CURVE
 
-    def counted_ns(self, rows: NDArray, level_bytes: int | Array) -> Array:
-        """(T,) cost on the station by counters alone: the same whenever it is asked for."""
+    def counted_ns(self, rows: NDArray, level_bytes: int | Array, enters: NDArray[np.bool_] | None = None) -> Array:
+        """(T,) cost on the station by counters alone: the same whenever it is asked for.
+
+        `enters`: (T,) which ticks enter a level; None: none does.
+        """
         here = counted_cost_ns(rows, level_bytes, self.here)
         there = here if self.station.cost is None else counted_cost_ns(rows, level_bytes, self.station.cost)
-        return there * self.curve.factor(here) * self.station.slowdown
+        return there * self._factor(here, enters) * self.station.slowdown
 
-    def cost_ns(self, rows: NDArray, level_bytes: int | Array) -> Array:
-        """(T,) cost on the station, interrupts taken out."""
+    def cost_ns(self, rows: NDArray, level_bytes: int | Array, enters: NDArray[np.bool_] | None = None) -> Array:
+        """(T,) cost on the station by the clock, interrupts taken out. `enters`: as in `counted_ns`."""
         counted = counted_cost_ns(rows, level_bytes, self.here)
-        cost = without_interrupts(rows, counted * self.curve.factor(counted)) * self.station.slowdown
+        cost = without_interrupts(rows, counted * self._factor(counted, enters)) * self.station.slowdown
         if self.station.cost is None:
             return cost
         return cost * counted_cost_ns(rows, level_bytes, self.station.cost) / np.maximum(counted, 1.0)
+
+    def _factor(self, counted_ns: Array, enters: NDArray[np.bool_] | None) -> Array:
+        staying = self.curve.factor(counted_ns)
+        return staying if enters is None else np.where(enters, self.entering.factor(counted_ns), staying)
+
+
+def entered(rows: NDArray) -> NDArray[np.bool_]:
+    """(T,) the ticks of one record that enter a level: those whose level is not that of the tick before."""
+    return np.diff(rows["level"].astype(np.int64), prepend=rows["level"][:1]) != 0
 
 
 def sample_ladder(
@@ -124,12 +136,13 @@ def sample_ladder(
         lambda done: progress("switch between levels", 0.5 * done),
     )  # fmt: skip
     reach_mm = (_REACHES[0] * l_mm, _REACHES[1] * l_mm)
+    kinds = ((reach_mm[0], False), (reach_mm[1], False), (reach_mm[1], True))
     relays = [
         relay_ladder(
             bench, levels, cut, felt_clock, reach, threads(),
-            lambda done, i=i: progress("switch between levels", 0.5 + 0.25 * (i + done)),
+            lambda done, i=i: progress("switch between levels", 0.5 + (i + done) / (2 * len(kinds))), leaping,
         )
-        for i, reach in enumerate(reach_mm)
+        for i, (reach, leaping) in enumerate(kinds)
     ]  # fmt: skip
     entered = [(r, rows) for entries, _ in relays for (r, _), rows in entries.items() if len(rows)]
     chosen = tuple(cell_rungs(grid))
@@ -143,23 +156,24 @@ def sample_ladder(
     once += entering
     both = timed + once
     here = calibrate([rows for rows, _ in both], [size for _, size in both], repeated=len(timed))
-    costing = Costing(here, station, _curve([(rows, int(level_bytes[r])) for (r, _), rows in kept.items()], here))
-    enter = Costing(here, station, _curve(entering, here) if entering else NO_CURVE)
+    staying = _curve([(rows, int(level_bytes[r])) for (r, _), rows in kept.items()], here)
+    costing = Costing(here, station, staying, _curve(entering, here) if entering else staying)
     cost = np.zeros((*grid.shape, clock.ticks))
     for (r, b), rows in kept.items():
         cost[r, b] = costing.counted_ns(rows, int(level_bytes[r]))
-    switch = np.zeros((2, *grid.shape, len(SWITCH_SHARES), len(reach_mm)))
+    switch = np.zeros((2, *grid.shape, len(SWITCH_SHARES), len(kinds)))
     for i, (entries, touched) in enumerate(relays):
         for place, rows in entries.items():
-            priced = enter.counted_ns(rows, int(level_bytes[place[0]])) if len(rows) else np.zeros(0)
+            enters = np.ones(len(rows), dtype=bool)
+            priced = costing.counted_ns(rows, int(level_bytes[place[0]]), enters) if len(rows) else np.zeros(0)
             switch[:, *place, :, i] = np.stack(entry_costs(priced, touched[place], cost[place]))
 
     data = LadderData(
         grid=grid, clock=clock, felt_clock=felt_clock, fields=fields, velocity_mm_s=_velocity_mm_s(whole),
         contact=np.concatenate([rows["contact"] == 1 for rows in first]), cost_ns=cost,
-        cost_spread=residual_spread([rows for rows, _ in timed], [costing.counted_ns(*one) for one in timed]),
         reference=reference, tour=tour,
-        switch_ns=switch[0], free_switch_ns=switch[1], reach_mm=reach_mm, cell_rungs=chosen,
+        switch_ns=switch[0], free_switch_ns=switch[1], reach_mm=reach_mm,
+        steps=(mean_step(range(rungs), grid.triangles), mean_step(leaps(rungs), grid.triangles)), cell_rungs=chosen,
         cell_cost=_cell_cost(bench, swept, cell_bytes, costing), level_bytes=level_bytes, cell_bytes=cell_bytes,
     )  # fmt: skip
     return data, costing

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hapticlod.config import LodConfig
 from hapticlod.errors import InputError
@@ -17,30 +18,20 @@ from hapticlod.station import Station
 from hapticlod.tool import Tool
 from tuning.baselines import baselines as baseline_configs
 from tuning.compile_cache import keep_compiled
+from tuning.confirm import Clock, merit
 from tuning.explain import explain
-from tuning.population import POOLED, check_over, measured_each, measured_over
+from tuning.explore import Candidate, Judge, cost_us, explore, holds, limits_of
+from tuning.population import POOLED, check_over, measured_each, measured_objective
 from tuning.prepare import Prepared, Progress, Stages, prepare
 from tuning.sample import Costing
-from tuning.search import Found, Limits, Search, disturbance, objective
-from tuning.sensitivity import Optimum, sensitivities, sentence
+from tuning.search import Search
+from tuning.sensitivity import sensitivities, sentence
 from tuning.verify import Verifier
 
-ROUNDS = 4
-RESCUES = 4  # further rounds while nothing that was measured holds the budget
-LEADERS = 2  # level counts that are looked at again when prediction and measurement differ
-AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A configuration with what was predicted of it and what was measured; `optimum`: of the search it came from."""
-
-    config: LodConfig
-    predicted: dict[str, float]
-    measured: dict[str, float]
-    objective: float
-    feasible: bool
-    optimum: Optimum | None = None
+# How often the search goes on with a smaller budget because the clock says more than the counters, and how many
+# configurations that hold the budget by their counters are asked of the clock each time.
+CLOCK_ROUNDS, ASKED = 3, 2
+SHOWN_S = 8.0  # what a baseline that cannot be chosen may cost to measure, s of loop cost
 
 
 @dataclass(frozen=True)
@@ -50,7 +41,9 @@ class TuneResult:
     Attributes:
         config: the chosen configuration.
         predicted, measured: its metrics by the surrogate, and in the runtime on motions kept apart.
+        clock: what the clock said of its loop cost, us: mean and quantiles of each tick's least time over `runs`.
         baselines: by name, measured alike: "finest only", "coarsest only", "the paper's".
+        ticks: by name ("tuned" and the baselines), how many the measurement rests on.
         feasible: by name ("tuned" and the baselines), whether budget and memory hold.
         candidates: everything that was measured, best first.
         stages_s: seconds per stage.
@@ -63,7 +56,9 @@ class TuneResult:
     config: LodConfig
     predicted: dict[str, float]
     measured: dict[str, float]
+    clock: dict[str, float]
     baselines: dict[str, dict[str, float]]
+    ticks: dict[str, int]
     feasible: dict[str, bool]
     candidates: tuple[Candidate, ...]
     stages_s: dict[str, float]
@@ -110,31 +105,29 @@ def tune(
 
     def judged(config: LodConfig, metrics: dict[str, float]) -> float:
         """The objective by what was measured."""
-        pooled = float(objective(metrics, station.budget_us))
-        if over == POOLED:
-            return pooled
-        felt = [disturbance(m["felt_error_jnd"], m["discontinuity_per_s"]) for m in measured_each(verifier, config)]
-        together = disturbance(metrics["felt_error_jnd"], metrics["discontinuity_per_s"])
-        return pooled - together + measured_over(felt, over)
+        return measured_objective(verifier, config, metrics, over)
 
     counts = [k for k in range(levels[0], levels[1] + 1) if ready.space.fits(k)] or [1]
-    candidates = _explore(search, verifier, ready, station, counts, seed, stages, judged)
-    stages("measure the baselines", 0.0)
-    baselines, feasible = {}, {}
-    fixed = baseline_configs(ready.ladder, tool)
-    for i, config in enumerate(fixed):
-        baselines[config.name] = verifier.measured(config)
-        feasible[config.name] = holds(baselines[config.name], station)
-        stages("measure the baselines", (i + 1) / len(fixed))
-    # The finest and the coarsest level alone are candidates like any other.
-    for alone in fixed[:2]:
-        found = baselines[alone.name]
-        candidates.append(Candidate(alone, {}, found, judged(alone, found), feasible[alone.name]))
-    ranked = sorted(candidates, key=lambda c: (not c.feasible, c.objective))
-    chosen = ranked[0]
-    if not chosen.feasible:
-        raise _nothing_fits(candidates, station)
-    predicted = chosen.predicted or search.look(ready.space.point(chosen.config), 1, _limits(station, 1.0)).predicted
+    baselines, ticks, candidates = _baselines(ready, verifier, tool, station, judged, stages)
+    clock, found = Clock(verifier, station), None
+    near: dict[int, NDArray[np.float64]] = {}
+    for left in reversed(range(CLOCK_ROUNDS)):
+        # Counters are right in proportion; where the clock says more, the best level counts are asked for less.
+        allowed = station if clock.ratio == 1.0 else station.adjusted(budget_us=0.98 * station.budget_us / clock.ratio)
+        candidates += explore(search, verifier, ready, allowed, list(near) or counts, seed, stages, judged, near)
+        stages("ask the clock", 0.0)
+        found = clock.first(candidates, ASKED if left else len(candidates))
+        if found is not None or clock.ratio == 1.0:
+            break
+        best = sorted((c.objective, i) for i, c in enumerate(candidates) if c.optimum is not None)[:ASKED]
+        leaders = [optimum for _, i in best if (optimum := candidates[i].optimum) is not None]
+        near = {optimum.levels: optimum.x for optimum in leaders}
+    if found is None:
+        raise _nothing_fits(candidates, station, clock.ratio)
+    chosen, said = found
+    ranked = sorted(candidates, key=lambda c: (c is not chosen, not c.feasible, merit(c)))
+    feasible = {name: holds(metrics, station) for name, metrics in baselines.items()}
+    predicted = chosen.predicted or search.look(ready.space.point(chosen.config), 1, limits_of(station, 1.0)).predicted
     feasible["tuned"] = True
     stages("differentiate the optimum", 0.0)
     answers = sensitivities(search, ready.space, chosen.optimum, station)
@@ -144,7 +137,9 @@ def tune(
         config=chosen.config.changed(name="tuned"),
         predicted=predicted,
         measured=chosen.measured,
+        clock=said,
         baselines=baselines,
+        ticks={**ticks, "tuned": sum(motion.ticks for motion in ready.apart)},
         feasible=feasible,
         candidates=tuple(ranked),
         stages_s=stages.seconds,
@@ -165,75 +160,31 @@ def _population(over: str, verifier: Verifier, config: LodConfig) -> dict[str, A
     return {"over": over, "motions": [{"name": m.name, **{key: found[key] for key in keys}} for m, found in each]}
 
 
-def _explore(
-    search: Search, verifier: Verifier, ready: Prepared, station: Station, counts: Sequence[int], seed: int,
-    stages: Stages, judged: Callable[[LodConfig, dict[str, float]], float],
-) -> list[Candidate]:  # fmt: skip
-    """The best of every level count, measured; then the leaders again, with the surrogate's budget corrected."""
-    made: list[Candidate] = []
-    warm: dict[int, np.ndarray] = {}
-
-    def verified(count: int, found: Found, limits: Limits) -> Candidate:
-        stages("verify in the runtime", len(made) / (len(counts) + LEADERS))
-        warm[count] = found.x
-        config = ready.space.config(found.x, count, f"{count} levels")
-        metrics = verifier.measured(config)
-        value = judged(config, metrics)
-        optimum = Optimum(found.x, count, limits)
-        made.append(Candidate(config, found.predicted, metrics, value, holds(metrics, station), optimum))
-        return made[-1]
-
-    stages("optimise", 0.0)
-    every = search.best_of_each(counts, _limits(station, 1.0), seed)
-    latest = {count: verified(count, found, _limits(station, 1.0)) for count, found in every.items()}
-    used = dict.fromkeys(latest, 1.0)
-    for turn in range(1, ROUNDS + RESCUES):
-        rescuing = not any(candidate.feasible for candidate in made)
-        if turn >= ROUNDS and not rescuing:
-            break
-        corrections = {count: _correction(latest[count], station) for count in latest}
-        wrong = [count for count in latest if corrections[count] is not None]
-        # Those that could still win: the best by what was measured, whether or not they held the budget. While none
-        # did, those that came nearest to holding it.
-        for count in sorted(wrong, key=lambda k: _cost_us(latest[k]) if rescuing else latest[k].objective)[:LEADERS]:
-            stages("optimise", len(made) / (len(counts) + LEADERS))
-            correction = float(corrections[count] or 1.0)
-            if not latest[count].feasible:
-                correction = min(correction, 0.7 * used[count])  # what was asked for last time was too much
-            used[count] = correction
-            limits = _limits(station, correction)
-            latest[count] = verified(count, search.best(count, limits, seed + turn, warm[count]), limits)
-    return made
+def _baselines(
+    ready: Prepared, verifier: Verifier, tool: Tool, station: Station, judged: Judge, stages: Stages
+) -> tuple[dict[str, dict[str, float]], dict[str, int], list[Candidate]]:
+    """By name, what was measured of each and on how many ticks; and those that are candidates, too: one level alone."""
+    stages("measure the baselines", 0.0)
+    measured: dict[str, dict[str, float]] = {}
+    ticks: dict[str, int] = {}
+    alone: list[Candidate] = []
+    fixed = baseline_configs(ready.ladder, tool)
+    for i, config in enumerate(fixed):
+        candidate = len(config.levels) == 1
+        judge = verifier if candidate else verifier.affordable(config, SHOWN_S)
+        ticks[config.name] = sum(motion.ticks for motion in judge.motions)
+        found = measured[config.name] = judge.measured(config)
+        if candidate:
+            alone.append(Candidate(config, {}, found, judged(config, found), holds(found, station)))
+        stages("measure the baselines", (i + 1) / len(fixed))
+    return measured, ticks, alone
 
 
-def _cost_us(candidate: Candidate) -> float:
-    return candidate.measured["loop_cost_p999_us"]
-
-
-def _correction(candidate: Candidate, station: Station) -> float | None:
-    """What the surrogate's budget must be multiplied by so that the measured cost meets it; None: they agree."""
-    predicted, measured = candidate.predicted["loop_cost_p999_us"], _cost_us(candidate)
-    apart = measured / station.budget_us
-    if candidate.feasible and apart > 1.0 - 2 * AGREE:
-        return None  # as near to the budget as makes sense
-    if candidate.feasible and predicted < (1.0 - 2 * AGREE) * station.budget_us:
-        return None  # the budget does not bind
-    return float(np.clip(predicted / measured, 0.1, 2.0))
-
-
-def _limits(station: Station, correction: float) -> Limits:
-    return Limits(station.budget_us * correction, station.memory_mb)
-
-
-def holds(metrics: dict[str, float], station: Station) -> bool:
-    """Whether budget and memory hold."""
-    return metrics["loop_cost_p999_us"] <= station.budget_us and metrics["memory_mb"] <= station.memory_mb
-
-
-def _nothing_fits(candidates: list[Candidate], station: Station) -> InputError:
+def _nothing_fits(candidates: list[Candidate], station: Station, ratio: float) -> InputError:
+    """`ratio`: of the clock's times to counted costs."""
     small = [c for c in candidates if c.measured["memory_mb"] <= station.memory_mb] or candidates
-    nearest = min(small, key=_cost_us)
-    needed = _cost_us(nearest)
+    nearest = min(small, key=cost_us)
+    needed = ratio * cost_us(nearest)
     return InputError(
         f"station {station.name}",
         f"no configuration holds a budget of {station.budget_us:g} us within {station.memory_mb:g} MB",

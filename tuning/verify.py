@@ -19,20 +19,38 @@ from hapticlod.station import Station
 from hapticlod.tool import Tool
 from tuning import kept
 from tuning.baselines import finest_only
-from tuning.sample import Costing, threads
+from tuning.sample import Costing, entered, threads
 
-# A tick's time is its least over so many runs: other programs take time, the tick does not.
-REPEATS = 2
+# By the clock, a tick's time is its least over at most so many runs: other programs take time, the tick does not.
+CLOCK_RUNS = 4
+CLOCK_QUANTILES = {"loop_cost_p50_us": 0.5, "loop_cost_p99_us": 0.99, "loop_cost_p999_us": 0.999}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What one run over all motions gave.
+
+    `metrics` are those of `hapticlod.metrics`, costs by counters; `counted_us` the costs behind them and `clock_us`
+    what the clock said, on the station and without interrupts: one (T,) float32 array per motion.
+    """
+
+    metrics: dict[str, float]
+    counted_us: tuple[NDArray[np.float32], ...]
+    clock_us: tuple[NDArray[np.float32], ...]
 
 
 @dataclass
 class Verifier:
     """Replays configurations over motions kept apart. What was measured once is kept, also between runs.
 
+    A configuration runs once, and its ticks are priced by what they counted: the same figures whenever it is asked
+    for, whatever else the machine does, so that configurations are compared and not the noise of their timings. What
+    the clock says of one is `clocked`.
+
     Attributes:
         ladder, tool, station: what is tuned, and for what.
         motions: kept apart from the surrogate's.
-        costing: turns this machine's times into the station's.
+        costing: turns counters, or this machine's times, into the station's.
         key: of ladder, tool, motions and costing; empty: nothing is kept between runs.
         runs: how many configurations were really measured.
     """
@@ -46,58 +64,116 @@ class Verifier:
     runs: int = 0
     _reference: list[Record] = field(default_factory=list)
 
-    def records(
-        self, config: LodConfig, repeats: int = REPEATS, before: Sequence[Record] | None = None
-    ) -> list[Record]:
-        """One record per motion, costs as on the station. `before`: of runs of the same configuration, which count."""
+    def records(self, config: LodConfig) -> list[Record]:
+        """One record per motion; costs as on the station, by counters."""
+        return self.runs_of(config)[0]
+
+    def runs_of(self, config: LodConfig) -> tuple[list[Record], tuple[NDArray[np.float32], ...]]:
+        """Records, one per motion, and what the clock said of their ticks, us."""
         origin = self.ladder.scan.centre_mm
         levels = [runtime_level(self.ladder.at(level.triangles), origin, level.cell_mm) for level in config.levels]
 
-        def one(index: int) -> Record:
-            motion = self.motions[index]
+        def one(motion: Motion) -> tuple[Record, NDArray[np.float32]]:
             # Not cut short: what a configuration costs and feels like is then the same for every budget.
-            record = replay_levels(levels, config, origin, motion, self.tool, self.station, repeats, cut_short=False)
+            record = replay_levels(levels, config, origin, motion, self.tool, self.station, 1, cut_short=False)
             rows = record.rows.copy()
             used = np.array(record.level_bytes)[rows["level"]]
-            rows["cost_ns"] = self.costing.cost_ns(record.rows, used)
-            if before is not None:
-                rows["cost_ns"] = np.minimum(rows["cost_ns"], before[index].rows["cost_ns"])
-            return replace(record, rows=rows, slowdown=1.0)  # the costing has counted the slowdown
+            enters = entered(rows)
+            clock_ns = self.costing.cost_ns(record.rows, used, enters)
+            rows["cost_ns"] = self.costing.counted_ns(record.rows, used, enters)
+            # The costing has counted the slowdown.
+            return replace(record, rows=rows, slowdown=1.0), (1e-3 * clock_ns).astype(np.float32)
 
         with ThreadPoolExecutor(threads()) as pool:
-            return list(pool.map(one, range(len(self.motions))))
+            made = list(pool.map(one, self.motions))
+        return [record for record, _ in made], tuple(clock for _, clock in made)
 
     def reference(self) -> list[Record]:
-        """The finest level's records, one per motion; its times are those of a single run."""
+        """The finest level's records, one per motion."""
+        if not self._reference:
+            self.measured(finest_only(self.ladder, self.tool))
         if not self._reference:
             asked = kept.key_of("reference", self.key)
-            found = kept.load("reference", asked) if self.key else None
+            found = kept.load("reference", asked)
             if found is None:
-                found = self.records(finest_only(self.ladder, self.tool), 1)
-                if self.key:
-                    kept.store("reference", asked, found)
+                found = self.records(finest_only(self.ladder, self.tool))
+                kept.store("reference", asked, found)
             self._reference = found
         return self._reference
 
-    def measured(self, config: LodConfig, repeats: int = REPEATS) -> dict[str, float]:
+    def measured(self, config: LodConfig) -> dict[str, float]:
         """The metrics, against the finest level on the same motions."""
-        asked = kept.key_of("measured", self.key, config.changed(name="").model_dump_json(), repeats)
+        found = self.run(config)
+        return {**found.metrics, **_misses(found.counted_us, self.station.budget_us)}
+
+    def run(self, config: LodConfig) -> Measured:
+        """All that the one run of a configuration gave; the metrics that depend on the budget are not to be used."""
+        asked = kept.key_of("measured", self.key, config.changed(name="").model_dump_json())
         found = kept.load("measured", asked) if self.key else None
         if found is None:
-            reference = self.reference()
             self.runs += 1
-            finest = finest_only(self.ladder, self.tool).changed(name=config.name)
-            run_before = config == finest and repeats > 1  # the reference is one of its runs
-            records = self.records(config, repeats - 1, reference) if run_before else self.records(config, repeats)
-            found = measure(records, reference), [record.cost_us.astype(np.float32) for record in records]
+            records, clock = self.runs_of(config)
+            if config.changed(name="") == finest_only(self.ladder, self.tool).changed(name=""):
+                self._reference = records
+                if self.key:
+                    kept.store("reference", kept.key_of("reference", self.key), records)
+            counted = tuple(record.cost_us.astype(np.float32) for record in records)
+            found = Measured(measure(records, self.reference()), counted, clock)
             if self.key:
                 kept.store("measured", asked, found)
-        metrics, costs = found
-        return {**metrics, **_misses(costs, self.station.budget_us)}
+        return found
+
+    def first(self, seconds: float) -> Verifier:
+        """A verifier of the first so many seconds of every motion."""
+        cut = [motion.part(0.0, min(seconds, motion.seconds)) for motion in self.motions]
+        reference = [
+            replace(record, rows=record.rows[: motion.ticks])
+            for record, motion in zip(self.reference(), cut, strict=True)
+        ]
+        key = f"{self.key} first {seconds!r} s" if self.key else ""
+        return Verifier(self.ladder, self.tool, self.station, cut, self.costing, key, 0, reference)
+
+    def affordable(self, config: LodConfig, most_s: float) -> Verifier:
+        """This verifier, or one of shorter motions on which a configuration costs no more than about so many seconds.
+
+        For what is measured only to be shown beside the answer, and may cost a hundred times what the answer does.
+        """
+        longest = max(motion.seconds for motion in self.motions)
+        seconds = min(1.0, longest)
+        pilot = self.first(seconds)
+        costs_s = 1e-6 * sum(float(cost.sum()) for cost in pilot.run(config).counted_us)
+        if costs_s * longest / seconds <= most_s:
+            return self
+        while 2 * seconds * costs_s <= most_s and 2 * seconds < longest:
+            seconds *= 2
+        return self.first(seconds)
+
+    def clocked(self, config: LodConfig, within_us: float = 0.0) -> dict[str, float]:
+        """What the clock says of the loop cost: mean and quantiles, us, of a tick's least time over some runs.
+
+        The run that measured counts as one; others follow until p99.9 is within the bound, at most `CLOCK_RUNS`.
+        """
+        asked = kept.key_of("clocked", self.key, config.changed(name="").model_dump_json())
+        found = kept.load("clocked", asked) if self.key else None
+        runs, least = found or (1, self.run(config).clock_us)
+        while runs < CLOCK_RUNS and clock_metrics(least)["loop_cost_p999_us"] > within_us:
+            _, again = self.runs_of(config)
+            least = tuple(np.minimum(a, b) for a, b in zip(least, again, strict=True))
+            runs += 1
+            if self.key:
+                kept.store("clocked", asked, (runs, least))
+        return {**clock_metrics(least), "runs": float(runs)}
+
+
+def clock_metrics(costs_us: Sequence[NDArray]) -> dict[str, float]:
+    """Mean and quantiles of the loop cost, us, from (T,) times of every motion."""
+    every = np.concatenate(costs_us).astype(np.float64)
+    quantiles = np.quantile(every, list(CLOCK_QUANTILES.values()))
+    return {"loop_cost_mean_us": float(every.mean()), **dict(zip(CLOCK_QUANTILES, map(float, quantiles), strict=True))}
 
 
 def _misses(costs_us: Sequence[NDArray], budget_us: float) -> dict[str, float]:
-    """The two metrics that depend on the budget, which may be another one than when the ticks were timed."""
+    """The two metrics that depend on the budget, which may be another one than when the ticks were counted."""
     over = [cost > budget_us for cost in costs_us]
     longest = max(int(np.diff(stretches(miss), axis=1).max(initial=0)) for miss in over)
     return {"deadline_miss_rate": float(np.concatenate(over).mean()), "longest_miss_run": float(longest)}

@@ -1,9 +1,11 @@
 """Loop cost: what a tick costs at each level, what a switch adds, and the quantiles of the mixture.
 
 Costs of neighbouring rungs are not alike tick by tick: candidates are gathered now here, now there, in bursts. What
-moves smoothly along the ladder is their distribution in a short window, so costs are kept sorted within windows and
-interpolated as order statistics, in the logarithm. A window's few dearest ticks are kept one by one, the others as
-means of groups: the tail is exact and the arrays stay small.
+moves smoothly along the ladder is their distribution at a speed of the hand. So windows of one motion and about one
+speed make a group, whichever instants they come from: its ticks are sorted and interpolated as order statistics, in
+the logarithm. A level's share of a group is that of its windows. (Sorted within single windows, a burst on one rung
+met none on the next, and the tail between rungs came out a fifth to a third too low.) A group's dearest ticks are kept
+one by one, the others as means: the tail is exact and the arrays stay small.
 """
 
 from __future__ import annotations
@@ -14,42 +16,59 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from hapticlod.surrogate.ladder_curves import LadderCurves, Places, cubic_weights, pchip_slopes
 from hapticlod.surrogate.quantile import smooth_max, smooth_quantiles
 from hapticlod.surrogate.switching import Switching, affine_scan
 
-# Ticks of a window in one sample each, dearest first: 1, 1, 1, 1, 2, 4, 8, ... until the window is used up.
-SINGLE_TICKS = 4
+# Ticks of a group in one sample each, dearest first: 8 times 1, then 2, 4, 8, ... up to so large a part of the group.
+SINGLE_TICKS = 8
+LARGEST_PART = 8
 # Of the ticks that enter a level, in one sample each, cheapest first.
 SWITCH_SHARES = (0.2, 0.2, 0.2, 0.2, 0.1, 0.05, 0.03, 0.015, 0.005)
 
 
-def group_sizes(ticks: int) -> NDArray[np.int64]:
-    """How many sorted ticks each sample of a window stands for; they sum to `ticks`."""
-    sizes, size = [], 1
-    while sum(sizes) < ticks:
-        sizes.append(min(size, ticks - sum(sizes)))
-        size = 1 if len(sizes) < SINGLE_TICKS else size * 2
+def sample_sizes(ticks: int) -> NDArray[np.int64]:
+    """How many of a group's sorted ticks each sample stands for; they sum to `ticks`."""
+    sizes, size, left = [], 1, ticks
+    while left:
+        sizes.append(min(size, left))
+        left -= sizes[-1]
+        if len(sizes) >= SINGLE_TICKS:
+            size = max(1, min(2 * size, ticks // LARGEST_PART))
     return np.array(sizes)
 
 
-def window_samples(cost: NDArray, ticks: int) -> NDArray:
-    """Mean cost of each group of sorted ticks.
+def group_samples(cost: NDArray, group: NDArray[np.intp]) -> tuple[NDArray, NDArray[np.float64]]:
+    """Mean costs of sorted ticks, group by group.
 
     **Arguments:**
 
-    - `cost`: (..., T), T a multiple of `ticks`.
-    - `ticks`: per window.
+    - `cost`: (..., T).
+    - `group`: (windows,) the group that each window belongs to, 0 to G - 1; windows are T / windows ticks long.
 
-    **Returns:** (..., windows, samples).
+    **Returns:** samples (..., G, S), dearest first, and (G, S) the ticks each stands for: 0 where a smaller group has
+    none left.
     """
-    sizes = group_sizes(ticks)
-    ordered = -np.sort(-cost.reshape(*cost.shape[:-1], -1, ticks), axis=-1)
-    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    return np.add.reduceat(ordered, starts, axis=-1) / sizes
+    windows = cost.reshape(*cost.shape[:-1], len(group), -1)
+    parts, sizes = [], []
+    for number in range(int(group.max()) + 1):
+        ticks = windows[..., group == number, :]
+        ordered = -np.sort(-ticks.reshape(*cost.shape[:-1], -1), axis=-1)
+        size = sample_sizes(ordered.shape[-1])
+        starts = np.concatenate([[0], np.cumsum(size)[:-1]])
+        parts.append(np.add.reduceat(ordered, starts, axis=-1) / size)
+        sizes.append(size)
+    most = max(map(len, sizes))
+    fill = [(0, 0)] * (cost.ndim - 1)
+    samples = np.stack([np.pad(x, [*fill, (0, most - x.shape[-1])], mode="edge") for x in parts], axis=-2)
+    return samples, np.stack([np.pad(x, (0, most - len(x))) for x in sizes]).astype(np.float64)
+
+
+# A level further away than this, in the far relay's steps, costs no more to enter.
+_FURTHEST = 1.5
 
 
 class CellFactors(eqx.Module):
@@ -79,15 +98,17 @@ def cell_factors(cell_edges: NDArray, factors: NDArray) -> CellFactors:
 class CostModel(eqx.Module):
     """Measured tick costs of the ladder.
 
-    - `samples`: ln ns, trailing shape (windows, samples), dearest first within a window.
+    - `samples`: ln ns, trailing shape (groups, samples), dearest first within a group.
+    - `group`: (windows,) the group of each window.
     - `tail_share`: trailing shape as `samples`: 0 where a sample belongs to its rung's body, 1 in its tail.
-    - `switch`: ln ns of ticks that change the level in contact, by the level entered, trailing shape (M, 2): one sample
-      for each of `SWITCH_SHARES`, at either of two mapping lengths. `log_reach`: (2,) ln of these lengths, mm.
+    - `switch`: ln ns of ticks that change the level in contact, by the level entered, trailing shape (M, 3): one sample
+      for each of `SWITCH_SHARES`; from a next rung at either of two mapping lengths, and at the longer one from a rung
+      far away. `log_reach`: (2,) ln of these lengths, mm. `steps`: (2,) |ln N - ln N'| of a next and of a far rung.
     - `free_switch`: the same without contact.
     - `cells`: dependence on cell size.
     - `contact`: (m,) share of a bin's ticks in which the reference is in contact, of all bins that were priced.
-    - `sizes`: (samples,) ticks that a sample stands for.
-    - `spread`: width, in ln cost, that smooths quantiles: what a cost varies by for no counted reason.
+    - `sizes`: (groups, samples) ticks that a sample stands for.
+    - `spread`: width, in ln cost, that smooths quantiles, so that they have slopes.
     """
 
     samples: LadderCurves
@@ -95,9 +116,11 @@ class CostModel(eqx.Module):
     switch: LadderCurves
     free_switch: LadderCurves
     log_reach: Float[Array, " 2"]
+    steps: Float[Array, " 2"]
     cells: CellFactors
     contact: Float[Array, " m"]
-    sizes: Float[Array, " S"]
+    sizes: Float[Array, "G S"]
+    group: Int[Array, " windows"]
     spread: Float[Array, ""]
 
 
@@ -130,49 +153,53 @@ def tick_costs(
     log_cell_edges: Float[Array, " K"],
     switching: Switching,
     log_reach: Float[Array, ""],
-) -> tuple[TickCosts, Float[Array, "K windows samples"], Float[Array, "K windows"]]:
+    log_triangles: Float[Array, " K"],
+) -> tuple[TickCosts, Float[Array, "K G S"], Float[Array, "K windows"]]:
     """The mixture over levels and switches; also each level's samples (ln ns) and its weight in every window.
 
-    `log_reach` is ln of the longer mapping length.
+    `log_reach` is ln of the longer mapping length, `log_triangles` of the levels' sizes.
     """
     share = jnp.clip(model.tail_share.levels(places), 0.0, 1.0)
     factors = model.cells.levels(places, log_cell_edges)
     body, tail = factors[:, 0, None, None], factors[:, 1, None, None]
     log_ns = model.samples.levels(places) + body + share * (tail - body)
-    levels, windows = log_ns.shape[:2]
-    weights = jnp.mean(switching.weights.reshape(levels, windows, -1), axis=2)
-    shares = jnp.clip(weights, 0.0, None)[:, :, None] * model.sizes
+    levels, groups = log_ns.shape[:2]
+    weights = jnp.mean(switching.weights.reshape(levels, model.group.shape[0], -1), axis=2)
+    summed = jax.ops.segment_sum(weights.T, model.group, groups).T
+    windows = jax.ops.segment_sum(jnp.ones_like(weights[0]), model.group, groups)
+    shares = jnp.clip(summed / windows, 0.0, None)[:, :, None] * model.sizes
     # A switch's tick replaces an ordinary one; the difference of one in hundreds is left out.
-    none = jnp.zeros_like(switching.up[:1])
-    entering = jnp.concatenate([none, switching.up]) + jnp.concatenate([switching.down, none])
-    in_contact = jnp.sum(entering * model.contact, axis=1)
-    free = jnp.sum(entering * (1 - model.contact), axis=1)
     parts, counts = [log_ns.reshape(-1)], [shares.reshape(-1)]
-    # The further a mapping looks, the more it meets.
-    far = jnp.clip((log_reach - model.log_reach[0]) / (model.log_reach[1] - model.log_reach[0]), 0.0, 1.0)
-    for curves, flow in ((model.switch, in_contact), (model.free_switch, free)):
-        events = curves.levels(places) @ jnp.stack([1 - far, far]) + factors[:, 1:]
-        parts.append(events.reshape(-1))
-        counts.append((flow[:, None] * jnp.array(SWITCH_SHARES, dtype=flow.dtype)).reshape(-1))
+    # The further a mapping looks, the more it meets; the further apart two levels are, the further the tool moves.
+    long = jnp.clip((log_reach - model.log_reach[0]) / (model.log_reach[1] - model.log_reach[0]), 0.0, 1.0)
+    span = jnp.maximum(model.steps[1] - model.steps[0], 1e-3)
+    far = jnp.clip((jnp.abs(jnp.diff(log_triangles)) - model.steps[0]) / span, 0.0, _FURTHEST)  # (J,)
+    mix = jnp.stack([jnp.broadcast_to(1 - long, far.shape), long - far, far])  # (3, J)
+    for curves, share_of in ((model.switch, model.contact), (model.free_switch, 1 - model.contact)):
+        events = curves.levels(places)  # (K, M, 3)
+        for entered, flow in ((slice(1, None), switching.up), (slice(None, -1), switching.down)):
+            cost = jnp.einsum("jmx,xj->jm", events[entered], mix) + factors[entered, 1:]
+            parts.append(cost.reshape(-1))
+            happened = jnp.sum(flow * share_of, axis=1)
+            counts.append((happened[:, None] * jnp.array(SWITCH_SHARES, dtype=flow.dtype)).reshape(-1))
     return TickCosts(jnp.concatenate(parts), jnp.concatenate(counts)), log_ns, weights
 
 
 def longest_run(
-    log_ns: Float[Array, "K windows samples"],
+    log_ns: Float[Array, "K G S"],
     weights: Float[Array, "K windows"],
-    sizes: Float[Array, " S"],
+    model: CostModel,
+    ticks: int,
     budget_us: Float[Array, ""] | float,
-    spread: Float[Array, ""],
 ) -> Float[Array, ""]:
     """Longest expected run of ticks over budget.
 
-    Within a window the order of ticks is not kept; a window whose share of misses is p continues a run with weight
-    p^ticks.
+    Within a window of so many ticks, and a group of windows, the order of ticks is not kept; a window whose share of
+    misses is p continues a run with weight p^ticks.
     """
-    over = jax.nn.sigmoid((log_ns - jnp.log(budget_us * 1e3)) / spread)
-    share = jnp.sum(over * sizes, axis=2) / jnp.sum(sizes)
-    missed = jnp.clip(jnp.sum(weights * share, axis=0), 0.0, 1.0)
-    ticks = jnp.sum(sizes)
+    over = jax.nn.sigmoid((log_ns - jnp.log(budget_us * 1e3)) / model.spread)
+    share = jnp.sum(over * model.sizes, axis=2) / jnp.sum(model.sizes, axis=1)
+    missed = jnp.clip(jnp.sum(weights * share[:, model.group], axis=0), 0.0, 1.0)
     # One miss is a run of 1; independent misses of share p make runs of p / (1 - p), at most the whole window.
     inside = jnp.minimum(missed * ticks, 1.0) * (1 - missed) + missed * ticks / (missed + (1 - missed) * ticks)
     run = affine_scan(missed**ticks, inside)

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from hapticlod.perception import Perception
 from hapticlod.surrogate.cost import CostModel
 from hapticlod.surrogate.ladder_curves import LadderCurves
+from hapticlod.surrogate.traps import Traps
 
 
 class Feel(eqx.Module):
@@ -21,8 +22,8 @@ class Feel(eqx.Module):
 
     F is the level's force, R the reference's; "either" and "both" say which of them is in contact.
 
-    - `felt`: |F - R|^2 / JND(R)^2 times the felt share, where either.
-    - `force_sq`: |F - R|^2, N^2, where either. `peak_n`: the bin's largest |F - R|.
+    - `felt`: |F - R|^2 / JND(R)^2 times the felt share, where either; without what `Traps` holds of it.
+    - `force_sq`: |F - R|^2, N^2, where either; likewise. `peak_n`: the bin's largest |F - R|.
     - `band_sq`: |band-passed (F - R)|^2, N^2, of the error where both.
     - `either`, `both`, `contact`: shares of ticks; `contact` is F's.
     - `depth_mm`: |SCP - HIP|, mean over the bin's ticks in contact.
@@ -101,6 +102,7 @@ class LadderMeasurement(eqx.Module):
     felt_bins: Int[Array, " n"]
     cycle: Int[Array, " n"]
     feel: Feel
+    traps: Traps
     instants: Instants
     cost: CostModel
     log_bytes: LadderCurves

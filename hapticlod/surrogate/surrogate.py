@@ -17,6 +17,7 @@ from hapticlod.surrogate.measurement import LadderMeasurement
 from hapticlod.surrogate.parameters import Parameters
 from hapticlod.surrogate.quantile import smooth_max, smooth_quantile, smooth_quantiles
 from hapticlod.surrogate.switching import Switching, affine_scan, filtered_speed_mm_s, soft_switching
+from hapticlod.surrogate.traps import trapped
 
 # Sigmoids are eta / SHARPNESS wide in ln speed: sharp enough to count switches to a per cent.
 SHARPNESS = 20.0
@@ -126,7 +127,14 @@ def predict_members(
 
     feel = measured.feel
     hand_mm_s = grouped(grouped(speed, ticks_per_bin)[measured.felt_bins], bins_per_instant) / per_instant
-    felt_mix, force_mix = mixed(feel.felt), mixed(feel.force_sq)
+    caught = trapped(
+        measured.traps, where, grouped(weights, bins_per_instant) / bins_per_instant, grouped(up, bins_per_instant),
+        grouped(down, bins_per_instant), instants.starts,
+    )  # fmt: skip
+    felt_mix, force_mix = (
+        mixed(own) + jnp.repeat(past, bins_per_instant)
+        for own, past in zip((feel.felt, feel.force_sq), caught, strict=True)
+    )
     either_mix = mixed(feel.either)
     either = jnp.maximum(total(either_mix), 1.0)
     both = jnp.maximum(total(mixed(feel.both)), 1.0)
@@ -141,7 +149,9 @@ def predict_members(
     band = total(mixed(feel.band_sq)) + blend_band_square(events, blend_s, measured.perception, tick_s)
 
     log_reach = jnp.maximum(parameters.log_l_in, parameters.log_l_out)
-    costs, samples, windows = tick_costs(measured.cost, where, parameters.log_cell_edges, all_bins, log_reach)
+    costs, samples, windows = tick_costs(
+        measured.cost, where, parameters.log_cell_edges, all_bins, log_reach, parameters.log_triangles
+    )
     spread = measured.cost.spread
     shares = jnp.clip(weights, 0.0, None)
     peaks, depths = levels(feel.peak_n).reshape(-1), levels(feel.depth_mm).reshape(-1)
@@ -178,7 +188,7 @@ def predict_members(
         "loop_cost_p999_us": limit_us,
         "loop_cost_max_us": cost_us[2],
         "deadline_miss_rate": costs.share_over(budget_us, spread),
-        "longest_miss_run": longest_run(samples, windows, measured.cost.sizes, budget_us, spread),
+        "longest_miss_run": longest_run(samples, windows, measured.cost, measured.ticks // windows.shape[1], budget_us),
         "force_error_rms_n": jnp.sqrt(jnp.maximum(force, 0.0) / either + 1e-14),
         "force_error_p99_n": peak_n[0],
         "force_error_max_n": peak_n[1],

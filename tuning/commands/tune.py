@@ -128,6 +128,9 @@ def _show(result: TuneResult, station: Station, output: Path, json: Path | None,
     measured = {**result.baselines, "tuned": result.measured}
     title = f"measured on motions kept apart, {station.loop_hz:g} Hz, budget {station.budget_us:g} us"
     out.print(comparison_table(measured, result.feasible, title))
+    for name, ticks in result.ticks.items():
+        if ticks < result.ticks["tuned"]:
+            out.print(f"{name}: on {ticks} ticks; the others on {result.ticks['tuned']}", markup=False)
     out.print(result.explanation, markup=False)
     for path in (output, json):
         if path is not None:
