@@ -17,6 +17,7 @@
 #include <linux/hidraw.h>
 #include <pthread.h>
 #include <stdarg.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -315,4 +316,25 @@ const char *udev_device_get_sysattr_value(struct udev_device *device, const char
         return text_of(device->name, attribute, out, 512);
     }
     return NULL;
+}
+
+// ---- claims --------------------------------------------------------------------------------------------------
+
+// A station claims a device by an abstract socket address with its path in it. Every folder has a /dev/hidraw0 of its
+// own: the address gets the folder's inode in front, so that tests side by side do not take each other's devices.
+int bind(int fd, const struct sockaddr *address, socklen_t size) {
+    static int (*real_bind)(int, const struct sockaddr *, socklen_t);
+    if (!real_bind) real_bind = (int (*)(int, const struct sockaddr *, socklen_t))dlsym(RTLD_NEXT, "bind");
+    static const char claim[] = "hapticlod-device:";
+    const struct sockaddr_un *name = (const struct sockaddr_un *)address;
+    const size_t head = offsetof(struct sockaddr_un, sun_path) + 1;
+    struct stat status;
+    if (!folder() || address->sa_family != AF_UNIX || size < head + strlen(claim) || name->sun_path[0] != 0 ||
+        strncmp(name->sun_path + 1, claim, strlen(claim)) != 0 || stat(folder(), &status) != 0)
+        return real_bind(fd, address, size);
+    struct sockaddr_un ours = {.sun_family = AF_UNIX};
+    const int length = snprintf(ours.sun_path + 1, sizeof ours.sun_path - 1, "%llu:%.*s",
+                                (unsigned long long)status.st_ino, (int)(size - head), name->sun_path + 1);
+    const size_t most = sizeof ours.sun_path - 1;
+    return real_bind(fd, (const struct sockaddr *)&ours, (socklen_t)(head + ((size_t)length < most ? (size_t)length : most)));
 }
