@@ -14,7 +14,7 @@ CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
 
-.PHONY: help setup configure build product test test-cpp test-sanitized test-python lint format demo bench bench-quick soak \
+.PHONY: help setup configure build product test test-cpp test-sanitized test-python lint format demo bench bench-quick soak fuzz station-static test-sanitized-build \
     evaluate-surrogate bench-tuners clean
 
 help:  ## this list
@@ -32,6 +32,16 @@ configure: setup
 build: configure  ## the station, the Python module, tests and benchmarks
 	@cmake --build $(RELEASE)
 
+CROSS ?=
+STATIC := build/static$(addprefix -,$(CROSS))
+station-static: setup  ## one hapticlod-station without run-time dependencies: make station-static [CROSS=aarch64-linux-gnu]
+	@mkdir -p build
+	@cmake -S . -B $(STATIC) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=Release -DHAPTICLOD_PYTHON=OFF -DHAPTICLOD_TESTS=OFF \
+	    -DHAPTICLOD_STATIC=ON $(if $(CROSS),-DCMAKE_TOOLCHAIN_FILE=$(CURDIR)/runtime/cross.cmake -DHAPTICLOD_CROSS=$(CROSS)) \
+	    >$(STATIC).log 2>&1 || { cat $(STATIC).log; exit 1; }
+	@cmake --build $(STATIC) --target hapticlod-station
+	@stat -c '%n: %s bytes' $(STATIC)/hapticlod-station
+
 product: configure  ## the station and the Python module alone
 	@cmake --build $(RELEASE) --target hapticlod-station _runtime _runtime_stub
 
@@ -40,12 +50,14 @@ test: lint test-cpp test-sanitized test-python  ## everything CI runs
 test-cpp: build  ## C++ tests, release build
 	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error -j 2
 
-test-sanitized: setup  ## C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer
+test-sanitized-build: setup
 	@mkdir -p build
 	@cmake -S . -B $(SANITIZED) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
 	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) \
 	    -DHAPTICLOD_SANITIZE=address,undefined >$(SANITIZED).log 2>&1 || { cat $(SANITIZED).log; exit 1; }
 	@cmake --build $(SANITIZED)
+
+test-sanitized: test-sanitized-build  ## C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer, short fuzzing
 	@ctest --test-dir $(SANITIZED) --output-on-failure --no-tests=error -j 2
 
 test-python: build  ## Python tests
@@ -71,6 +83,15 @@ bench-quick: build  ## the same on 100 k triangles
 	@$(BIN)/python -m benchmarks.contact_table --quick
 
 TICKS ?= 100000000
+RUNS ?= 1e7
+fuzz: test-sanitized-build  ## 10^7 mutated bundles, motions and key files under sanitizers: hours; make fuzz RUNS=1e6
+	@command -v clang++ >/dev/null || { echo "make fuzz needs libFuzzer: apt-get install clang"; exit 1; }
+	@for target in bundle motion trusted_keys; do \
+	    mkdir -p build/fuzz/$$target; \
+	    $(SANITIZED)/fuzz/$${target}_fuzz -runs=$$(printf %.0f $(RUNS)) -timeout=20 -max_len=16384 -print_final_stats=1 \
+	        -artifact_prefix=build/fuzz/$$target- build/fuzz/$$target runtime/fuzz/corpus/$$target || exit 1; \
+	done
+
 soak: build  ## random motions against the invariants of contact: TICKS=1e8, or make soak TICKS=1e6
 	@$(RELEASE)/bench/soak $(TICKS)
 

@@ -1,7 +1,7 @@
 """Velocity-driven levels of detail for haptic rendering: scans, ladders, motions, replay, metrics, bundles.
 
 Names are imported when they are first used, so that `import hapticlod` costs nothing.
-The tuner builds on this package and lives in `tuning` (`from tuning.tune import tune`).
+The tuner builds on this package and lives in `tuning`; `hapticlod.tune` is its front door.
 """
 
 import sys
@@ -10,6 +10,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from hapticlod.bundle import read_bundle, write_bundle
     from hapticlod.config import LodConfig, load_config, save_config
     from hapticlod.dentition import make_dentition
@@ -20,10 +22,12 @@ if TYPE_CHECKING:
     from hapticlod.motion import Motion, load_motion, synthesise
     from hapticlod.replay import Record, replay
     from hapticlod.scan import Scan, load_scan, scan_from_arrays
+    from hapticlod.scheme import Scheme, load_scheme
     from hapticlod.station import Station, load_station
     from hapticlod.tool import Tool, load_tool
 
     __version__: str
+    tune: Callable[..., Any]
 
 __all__ = [
     "HapticLODError",
@@ -33,6 +37,7 @@ __all__ = [
     "Motion",
     "Record",
     "Scan",
+    "Scheme",
     "Station",
     "Tool",
     "__version__",
@@ -41,6 +46,7 @@ __all__ = [
     "load_materials",
     "load_motion",
     "load_scan",
+    "load_scheme",
     "load_station",
     "load_tool",
     "make_dentition",
@@ -50,6 +56,7 @@ __all__ = [
     "save_config",
     "scan_from_arrays",
     "synthesise",
+    "tune",
     "write_bundle",
 ]
 
@@ -64,10 +71,13 @@ _HOME = {
     "motion": ("Motion", "load_motion", "synthesise"),
     "replay": ("Record", "replay"),
     "scan": ("Scan", "load_scan", "scan_from_arrays"),
+    "scheme": ("Scheme", "load_scheme"),
     "station": ("Station", "load_station"),
     "tool": ("Tool", "load_tool"),
 }
 _MODULE_OF = {name: f"hapticlod.{module}" for module, names in _HOME.items() for name in names}
+# The one name from beyond this package, found when it is asked for: the model imports nothing of the tuner.
+_MODULE_OF["tune"] = "tuning.tune"
 
 
 def __getattr__(name: str) -> Any:

@@ -4,6 +4,7 @@ Only the commands a user would type are used; everything lands in build/demo/.
 """
 
 import json
+import os
 import shlex
 import subprocess
 import sys
@@ -50,11 +51,16 @@ def main() -> None:
     say("1. A scan like a dentist's: an arch of 14 teeth with pits of 0.1 mm and 8 um of scanner noise")
     make_scan(scan)
 
-    say("2. Tune its levels of detail for a flame burr (a union of some hundred balls) at 1 kHz")
+    say("2. A key: bundles are signed with it, and the station runs what it trusts. The demo's own, yours is untouched")
+    os.environ["HAPTICLOD_CONFIG"] = str(FOLDER / "keys")
+    if not (FOLDER / "keys/signing.key").exists():
+        call("hapticlod", "key", "new", "--name", "demo")
+
+    say("3. Tune its levels of detail for a flame burr (a union of some hundred balls) at 1 kHz")
     tool = "configs/tools/burr_flame.toml"
     call("hapticlod", "tune", scan, "--tool", tool, "--loop-hz", LOOP_HZ, "-o", bundle, "--json", result)
 
-    say(f"3. Run the bundle for {STATION_S} s on the station, with a simulated device in the hand's place")
+    say(f"4. Run the bundle for {STATION_S} s on the station, with a simulated device in the hand's place")
     output = call("hapticlod-station", "run", bundle, "--device", "sim", "--seconds", STATION_S, keep=True)
     run = json.loads(output.splitlines()[-1])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,18 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session", autouse=True)
+def config_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A configuration folder in which there is no signing key and one trusted key, whatever the user has in theirs."""
+    folder = tmp_path_factory.mktemp("config")
+    # The public half of plate_bundle.TEST_KEY.
+    (folder / "trusted_keys").write_text("ed25519 A6EHv/POEL4dcN0Y50vAmWfk1jCbpQ1fHdyGZBJVMbg= tests\n")
+    (folder / "trusted_keys").chmod(0o644)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HAPTICLOD_CONFIG", str(folder))
+        yield folder
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

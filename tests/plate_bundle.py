@@ -12,10 +12,13 @@ import pytest
 from hapticlod import _runtime
 from hapticlod.layout import CONFIG_DTYPE, RECORD_DTYPE
 from hapticlod.motion import Motion
+from hapticlod.signature import Key
 from hapticlod.tool import Tool, union
 
 ORIGIN_MM = (0.0, 0.0, 20.0)
 CELLS_MM = (1.5, 3.0)
+TEST_KEY = Key("tests", bytes(range(32)))
+"""Signs every bundle of `plate_parts`; the stations of the tests trust it (conftest.py)."""
 
 
 def plate(squares: int) -> tuple[np.ndarray, np.ndarray]:
@@ -71,6 +74,7 @@ def plate_parts(ticks: int = 1500) -> dict[str, Any]:
         "manifest": manifest,
         "golden_motion": motion,
         "golden_record": rendered(levels, config, tool, motion),
+        "key": TEST_KEY,
     }
 
 

@@ -62,7 +62,8 @@ def test_the_surrogate_reads_and_writes_no_file() -> None:
 def test_what_is_imported_is_declared() -> None:
     """A package that happens to be installed here would be missing on a fresh machine."""
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    wanted = " ".join(project["dependencies"]).lower().replace("-", "_")
+    extras = project["optional-dependencies"]
+    wanted = " ".join([*project["dependencies"], *extras["report"], *extras["cluster"]]).lower().replace("-", "_")
     known = packages_distributions()
     used = set().union(*(imports_of(s) for part in SOURCES.values() for s in part))
     foreign = used - set(sys.stdlib_module_names) - {"hapticlod", "tuning"}
@@ -70,3 +71,15 @@ def test_what_is_imported_is_declared() -> None:
     # Parts of the interfaces of equinox, optimistix and pydantic, which bring them along.
     owners = {name: own for name, own in owners.items() if name not in ("jaxtyping", "lineax", "pydantic_core")}
     assert {name for name, own in owners.items() if not any(o in wanted for o in own)} == set()
+
+
+def test_commands_load_none_of_the_optional_packages() -> None:
+    """Figures, Parquet and Dask are extras: who did not ask for them must not need them."""
+    modules = [f"tuning.commands.{path.stem}" for path in SOURCES["tuning"] if path.parent.name == "commands"]
+    assert "tuning.commands.compare" in modules
+    code = (
+        f"import sys, importlib, tuning.cli\nfor name in {modules}: importlib.import_module(name)\n"
+        "print(sorted({'matplotlib', 'pyarrow', 'distributed', 'jax'} & set(sys.modules)))"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == "[]"

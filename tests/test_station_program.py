@@ -193,7 +193,7 @@ def test_stiffness_is_capped_for_the_device(parts: dict[str, Any], tmp_path: Pat
         (["replay", "BUNDLE", "BUNDLE", "out.csv"], "plate.hlod"),
         (["inspect", "no.hlod"], "no.hlod: cannot be opened"),
         (["inspect", "."], ".: is not a regular file"),
-        (["tune"], "tune: is no command; use run, replay or inspect"),
+        (["tune"], "tune: is no command; use run, replay, inspect or verify"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(bundle_path: Path, words: list[str], expected: str) -> None:

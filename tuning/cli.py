@@ -1,6 +1,6 @@
 """The `hapticlod` command: what to call, how faults reach the user, which status is returned.
 
-Status: 0 done, 2 the input cannot be used (one line says where, what and what to do), 130 interrupted.
+Status: 0 done, 2 the input cannot be used (one line says where, what and what to do), 3 done in part, 130 interrupted.
 Commands live in tuning/commands/ and are imported when called: `hapticlod --help` loads neither jax nor a mesh reader.
 """
 
@@ -14,8 +14,7 @@ from typing import NoReturn
 from cyclopts import App, CycloptsError
 
 from hapticlod.errors import HapticLODError
-
-DONE, FAILED, BAD_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
+from tuning.commands.status import BAD_INPUT, DONE, FAILED, INTERRUPTED, TERMINATED
 
 
 def _version() -> str:
@@ -37,14 +36,20 @@ app.command(
 )
 app.command("tuning.commands.check:check_command", name="check", help="Say what is wrong with a scan.")
 app.command("tuning.commands.pareto:pareto_command", name="pareto", help="Show what each budget buys, on one scan.")
+app.command("tuning.commands.compare:compare_command", name="compare", help="Rank configurations over many scans.")
+app.command("tuning.commands.experiment:experiment_command", name="experiment", help="Redraw the paper's figures.")
+app.command("tuning.commands.report:report_command", name="report", help="Write a page about a bundle or comparison.")
 app.command("tuning.commands.inspect:inspect_command", name="inspect", help="Show what a bundle holds.")
+app.command("tuning.commands.deploy:deploy_command", name="deploy", help="Install a bundle on a station over ssh.")
+app.command("tuning.commands.deploy:pack_command", name="pack", help="The same as one file, without a network.")
+app.command("tuning.commands.key:key_app", name="key", help="Sign bundles, and say whose bundles to trust.")
 
 
 def run(tokens: Sequence[str], program: App = app) -> int:
     """Carry out one command line and return its exit status; faults are printed as one line on standard error."""
     name = program.name[0]
     try:
-        program(list(tokens), exit_on_error=False, print_error=False, result_action="return_value")
+        status = program(list(tokens), exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
     except CycloptsError as error:
         return _say(f"{name}: {str(error).rstrip('.')}; see {name} --help", BAD_INPUT)
@@ -55,7 +60,7 @@ def run(tokens: Sequence[str], program: App = app) -> int:
     except BrokenPipeError:  # the reader of our output went away: `hapticlod inspect x.hlod | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
-    return DONE
+    return status if isinstance(status, int) else DONE
 
 
 def _say(line: str, status: int) -> int:

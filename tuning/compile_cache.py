@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
+
+from tuning.user_cache import cache_folder
 
 # XLA's fusion emitters double the time of code generation on a CPU, and what they make runs no faster (measured on the
 # surrogate and its slopes; docs/decisions.md). Options of a backend that is not there are refused, so only on a CPU.
@@ -30,14 +30,6 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         return made[0](*eqx.partition(args, eqx.is_array))
 
     return call
-
-
-def cache_folder() -> Path:
-    """$HAPTICLOD_CACHE, or the user's cache folder."""
-    chosen = os.environ.get("HAPTICLOD_CACHE")
-    if chosen:
-        return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hapticlod"
 
 
 def keep_compiled() -> None:

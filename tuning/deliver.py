@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hapticlod.config import LodConfig
     from hapticlod.motion import Motion
     from hapticlod.scan import Scan
+    from hapticlod.signature import Key
     from hapticlod.station import Station
     from hapticlod.tool import Tool
     from tuning.tune import TuneResult
@@ -67,8 +68,12 @@ def as_built(result: TuneResult) -> LodConfig:
     return config.changed(levels=real)
 
 
-def write_tuned(path: Path, result: TuneResult, scan: Scan, station: Station, tool: Tool, seed: int) -> None:
-    """Write the bundle of a tuning run. The golden motion is the one, of those kept apart, that shows most levels.
+def write_tuned(
+    path: Path, result: TuneResult, scan: Scan, station: Station, tool: Tool, seed: int, key: Key | None = None
+) -> None:
+    """Write the bundle of a tuning run, signed where a key is given.
+
+    The golden motion is the one, of those kept apart, that shows most levels.
 
     Raises:
         InputError: the file cannot be written.
@@ -107,6 +112,7 @@ def write_tuned(path: Path, result: TuneResult, scan: Scan, station: Station, to
         },
         golden_motion=golden,
         golden_record=record.rows,
+        key=key,
     )
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from hapticlod import _runtime
 from hapticlod.files import write_atomic
-from tuning.compile_cache import cache_folder
+from tuning.user_cache import cache_folder
 
 _MAGIC = b"HapticLOD kept 1\n"
 # Code whose change makes kept results stale.

@@ -12,6 +12,8 @@ from hapticlod.bundle import content
 from hapticlod.bundle.format import (
     ACCELERATION,
     ELEMENT,
+    ENTRY_DTYPE,
+    HEADER_DTYPE,
     LEVEL_SECTIONS,
     MAX_MANIFEST_BYTES,
     MAX_MANIFEST_DEPTH,
@@ -21,6 +23,7 @@ from hapticlod.bundle.format import (
 from hapticlod.bundle.structure import Section, read_sections
 from hapticlod.errors import InputError
 from hapticlod.motion import Motion
+from hapticlod.signature import signature_fault
 from hapticlod.tool import Tool
 
 WRITE_AGAIN = "write the bundle again"
@@ -65,6 +68,8 @@ class Bundle:
         path: the file.
         file_bytes: its size.
         sections: the section table, in file order; unknown optional sections included.
+        signer: public key (32 bytes) of who signed it, proved; None where it is unsigned, or signed in a way that this
+            program does not know. Whether to trust that key is another question: `hapticlod.trust`.
         manifest: provenance, station, metrics.
         config: numpy scalar of `hapticlod.layout.CONFIG_DTYPE`.
         tool: named as in the manifest's `tool.name`, if it has one.
@@ -76,6 +81,7 @@ class Bundle:
     path: Path
     file_bytes: int
     sections: tuple[Section, ...]
+    signer: bytes | None
     manifest: dict[str, Any]
     config: Any
     tool: Tool
@@ -94,6 +100,7 @@ def read_bundle(path: str | Path) -> Bundle:
     file = _mapped(Path(path))
     sections = read_sections(file, name)
     reader = _Reader(name, file, sections)
+    signer = reader.signer()
     manifest = reader.manifest()
     config = reader.one(SectionType.CONFIG)
     reader.refuse("CONFIG", content.config_fault(config))
@@ -111,6 +118,7 @@ def read_bundle(path: str | Path) -> Bundle:
         path=Path(path),
         file_bytes=len(file),
         sections=sections,
+        signer=signer,
         manifest=manifest,
         config=config,
         tool=Tool(_name(manifest, "tool"), balls["centre_mm"].copy(), balls["radius_mm"].copy()),
@@ -137,6 +145,7 @@ class _Reader:
     def __init__(self, path: str, file: np.ndarray, sections: tuple[Section, ...]) -> None:
         self.path = path
         self._file = file
+        self._table_end = HEADER_DTYPE.itemsize + len(sections) * ENTRY_DTYPE.itemsize
         self._known = {(section.type, section.level): section for section in sections if section.known}
 
     def has(self, kind: SectionType, level: int = 0) -> bool:
@@ -159,6 +168,14 @@ class _Reader:
         if len(rows) != 1:
             raise InputError(f"{self.path}, {kind.name}", f"holds {len(rows)} records, expected 1", WRITE_AGAIN)
         return rows[0]
+
+    def signer(self) -> bytes | None:
+        if not self.has(SectionType.SIGNATURE):
+            return None
+        content = self.array(SectionType.SIGNATURE).tobytes()
+        if fault := signature_fault(content, self._file[: self._table_end].tobytes()):
+            raise InputError(f"{self.path}, SIGNATURE", fault, "get the bundle again from whoever signed it")
+        return content[:32]
 
     def manifest(self) -> dict[str, Any]:
         raw = self.array(SectionType.MANIFEST).tobytes()

@@ -24,9 +24,11 @@ from hapticlod.bundle.format import (
     digest,
     is_optional,
 )
+from hapticlod.bundle.read import read_bundle
 from hapticlod.files import write_atomic
 from hapticlod.layout import BALL_DTYPE, CONFIG_DTYPE, RECORD_DTYPE
 from hapticlod.motion import Motion
+from hapticlod.signature import SIGNATURE_BYTES, Key
 from hapticlod.tool import Tool
 
 
@@ -48,6 +50,7 @@ def write_bundle(
     manifest: Mapping[str, Any],
     golden_motion: Motion | None = None,
     golden_record: np.ndarray | None = None,
+    key: Key | None = None,
 ) -> None:
     """Writes a `.hlod`. Equal arguments give equal bytes; an existing file is replaced in one step.
 
@@ -59,22 +62,43 @@ def write_bundle(
         manifest: provenance, station, predicted and measured metrics: JSON types, numpy numbers and arrays, paths.
         golden_motion: a short motion at the loop rate ...
         golden_record: ... and (T,) rows of `RECORD_DTYPE` that its replay gave. Both or neither.
+        key: signs the bundle; None leaves it unsigned.
 
     Raises:
         InputError: the file cannot be written.
         ValueError: the parts do not fit each other, or the manifest holds a number that is not finite.
     """
     sections = _sections(levels, config, tool, manifest, golden_motion, golden_record)
-    write_atomic(path, container(sections))
+    write_atomic(path, container(sections, key=key))
+
+
+def sign_bundle(source: str | Path, path: str | Path, key: Key) -> None:
+    """Writes a copy of a bundle, checked first and signed with `key`; a signature that it had is replaced.
+
+    Raises:
+        InputError: the bundle cannot be read, or the copy not be written.
+    """
+    held = read_bundle(source)
+    file = np.memmap(held.path, dtype=np.uint8, mode="r")
+    kept = [section for section in held.sections if section.type != SectionType.SIGNATURE]
+    sections = [(s.type, s.level, file[s.offset : s.offset + s.length]) for s in kept]
+    versions = {(s.type, s.level): s.version for s in kept}
+    write_atomic(path, container(sections, section_version=versions, key=key))
 
 
 def container(
     sections: Sequence[tuple[int, int, Any]],
     *,
     section_version: Mapping[tuple[int, int], int] | None = None,
+    key: Key | None = None,
 ) -> bytearray:
-    """The file that holds (type, level, buffer) in this order, with digests. `section_version` by (type, level)."""
+    """The file that holds (type, level, buffer) in this order, with digests. `section_version` by (type, level).
+
+    With a `key`, a signature follows as the last section.
+    """
     versions = section_version or {}
+    if key is not None:
+        sections = [*sections, (SectionType.SIGNATURE, 0, bytes(SIGNATURE_BYTES))]
     table = np.zeros(len(sections), dtype=ENTRY_DTYPE)
     end = HEADER_DTYPE.itemsize + table.nbytes
     for entry, (kind, level, data) in zip(table, sections, strict=True):
@@ -102,6 +126,8 @@ def container(
     for entry, (_, _, data) in zip(table, sections, strict=True):
         start = int(entry["offset"])
         file[start : start + int(entry["length"])] = memoryview(data).cast("B")
+    if key is not None:
+        file[-SIGNATURE_BYTES:] = key.signature(bytes(file[: header.nbytes + table.nbytes]))
     return file
 
 

@@ -29,6 +29,7 @@ void Candidates::allocate(const ToolTree& tree, std::size_t balls) {
     last_pairs_.resize(kMaxBlocks);
     keys_.resize(kMaxBlocks);
     last_keys_.resize(kMaxBlocks);
+    listed_bounds_.resize(kMaxBlocks + ActiveLevel::kBoundsBeyond);
     evaluations_.resize(kMaxBlocks);
     free_.resize(kMaxBlocks);
     table_.assign(kTable, {});
@@ -58,7 +59,7 @@ void Candidates::forget() {
 
 std::size_t Candidates::bytes() const {
     return kMaxBlocks * (2 * sizeof(Pair) + 2 * sizeof(double) + sizeof(EvalBlock) + sizeof(std::uint32_t)) +
-           kTable * sizeof(Known) +
+           listed_bounds_.size() * sizeof(BlockBound) + kTable * sizeof(Known) +
            (balls_clear_until_.size() + nodes_clear_until_.size() + nodes_looked_at_.size()) * sizeof(double);
 }
 
@@ -71,8 +72,10 @@ double Candidates::bound(std::uint32_t i, const Vec3& x) const {
     const BlockBound& b = level_->bounds[pairs_[i].block];
     const SolverBall& ball = solver_balls_[pairs_[i].ball];
     const Vec3 to = Vec3{b.x, b.y, b.z} - (centre_ + x + ball.offset);
-    const double off_slab = std::abs(dot(to, Vec3{b.nx, b.ny, b.nz})) - double{b.half};
-    return std::max(norm(to) - double{b.radius}, off_slab) * (1.0 - 1e-6) - ball.kept;
+    const double h = std::abs(dot(to, Vec3{b.nx, b.ny, b.nz})), to2 = norm2(to) * (1.0 - 1e-6);
+    const double above = std::max(h - double{b.half}, 0.0);
+    const double aside = std::max(std::sqrt(std::max(to2 - h * h, 0.0)) - double{b.radius}, 0.0);
+    return std::sqrt(above * above + aside * aside) * (1.0 - 1e-6) - ball.kept;
 }
 
 bool Candidates::passes_by(std::uint32_t i, const Vec3& from, const Vec3& step, double margin) const {
@@ -126,15 +129,22 @@ void Candidates::for_cells(const Vec3& centre, double range, TickCounters& count
     counters.cells += level_->occupancy.for_bricks(level, brick_lo, brick_hi, [&](const Brick& brick) {
         const std::int32_t base[3] = {brick.x * 4, brick.y * 4, brick.z * 4};
         int from[3], to[3];
-        for (int k = 0; k < 3; ++k) from[k] = std::max(lo[k] - base[k], 0), to[k] = std::min(hi[k] - base[k], 3);
+        double gap2_of[3][4], brick_gap2 = 0.0;
+        for (int k = 0; k < 3; ++k) {
+            const double gap = axis_gap(at[k], base[k] * h - loose, (base[k] + 4) * h + loose);
+            brick_gap2 += gap * gap;
+        }
+        if (brick_gap2 > range * range) return true;
+        for (int k = 0; k < 3; ++k) {
+            from[k] = std::max(lo[k] - base[k], 0), to[k] = std::min(hi[k] - base[k], 3);
+            for (int c = from[k]; c <= to[k]; ++c) {
+                const double gap = axis_gap(at[k], (base[k] + c) * h - loose, (base[k] + c + 1) * h + loose);
+                gap2_of[k][c] = gap * gap;
+            }
+        }
         for (std::uint64_t bits = brick.mask & cells_in_range(from, to); bits != 0; bits &= bits - 1) {
             const int bit = std::countr_zero(bits);
-            const std::int32_t cell[3] = {base[0] + (bit & 3), base[1] + (bit >> 2 & 3), base[2] + (bit >> 4)};
-            double gap2 = 0.0;
-            for (int k = 0; k < 3; ++k) {
-                const double gap = axis_gap(at[k], cell[k] * h - loose, (cell[k] + 1) * h + loose);
-                gap2 += gap * gap;
-            }
+            const double gap2 = gap2_of[0][bit & 3] + gap2_of[1][bit >> 2 & 3] + gap2_of[2][bit >> 4];
             if (gap2 <= range * range && !use(brick, bit, gap2)) return false;
         }
         return true;
@@ -197,6 +207,58 @@ void Candidates::list(std::uint32_t block, std::uint32_t ball, double bound) {
     pairs_[block_count_++] = pair;
 }
 
+// The only ball that is used against the blocks around it, eight blocks at a time.
+bool Candidates::gather_one(std::uint32_t place, double reach, TickCounters& counters) {
+    if (balls_clear_until_[place] - odometer_ > reach) return true;
+    constexpr std::uint32_t kChunk = 32;
+    const LevelView& level = level_->view;
+    const SolverBall& ball = solver_balls_[0];
+    const Vec3 centre = centre_ + ball.offset;
+    const float at[3] = {static_cast<float>(centre.x), static_cast<float>(centre.y), static_cast<float>(centre.z)};
+    const float within = static_cast<float>(reach) * 1.00001f;
+    const double outer = ball.kept + reach;
+    float least = std::numeric_limits<float>::max();
+    bool complete = true;
+    ++counters.balls;
+    // Bounds of several cells together: cells hold few.
+    BlockBound near_by[kChunk];
+    std::uint32_t block[kChunk], waiting = 0;
+    const auto look = [&] {
+        float low[kChunk];
+        kernels_->near_one(near_by, waiting, at, static_cast<float>(ball.kept), low);
+        for (std::uint32_t b = 0; b < waiting; ++b) {
+            if (low[b] > within) {
+                least = std::min(least, low[b]);
+                continue;
+            }
+            if (block_count_ == kMaxBlocks) return complete = false;
+            listed_bounds_[block_count_] = near_by[b];
+            list(block[b], 0, double{low[b]});
+        }
+        waiting = 0;
+        return true;
+    };
+    for_cells(centre, outer, counters, [&](const Brick& brick, int bit, double) {
+        ++counters.cells;
+        const std::uint64_t below = brick.mask & ((std::uint64_t{1} << bit) - 1);
+        const std::uint32_t cell = brick.first_cell + static_cast<std::uint32_t>(std::popcount(below));
+        const std::uint32_t from = level.cells[cell], end = level.cells[cell + 1];
+        counters.triangles += 8 * (end - from);
+        for (std::uint32_t b = from; b < end;) {
+            const std::uint32_t stop = std::min(end, b + kChunk - waiting);
+            for (; b < stop; ++b, ++waiting) near_by[waiting] = level_->bounds[b], block[waiting] = b;
+            if (waiting == kChunk && !look()) return false;
+        }
+        return true;
+    });
+    if (complete && waiting > 0) look();
+    if (complete)
+        balls_clear_until_[place] =
+            odometer_ +
+            (block_count_ > 0 ? 0.0 : std::max(std::min(outer - ball.kept, double{least} * 0.99999), reach));
+    return complete;
+}
+
 // The balls of one node against the blocks around it, eight balls at a time.
 bool Candidates::gather_balls(std::uint32_t index, double reach, TickCounters& counters) {
     const std::span<const SolverBall> balls = solver_balls_;
@@ -209,6 +271,7 @@ bool Candidates::gather_balls(std::uint32_t index, double reach, TickCounters& c
     for (std::uint32_t k = 0; k < node.count; ++k) {
         const std::uint32_t ball = tree_->ball(node.first + k);
         if (ball >= balls.size() || balls_clear_until_[node.first + k] - odometer_ > reach) continue;
+        if (balls.size() == 1) return gather_one(node.first + k, reach, counters);
         active |= 1u << k;
         extent[k] = norm(balls[ball].offset - node.offset) + balls[ball].kept;
         widest = std::max(widest, extent[k]);

@@ -67,6 +67,10 @@ public:
         return {Vec3{v[0][lane], v[1][lane], v[2][lane]} - at, Vec3{v[3][lane], v[4][lane], v[5][lane]} - at,
                 Vec3{v[6][lane], v[7][lane], v[8][lane]} - at};
     }
+    [[nodiscard]] std::uint32_t block(std::uint32_t i) const { return pairs_[i].block; }
+    [[nodiscard]] const TriBlock& triangles(std::uint32_t i) const { return level_->view.blocks[pairs_[i].block]; }
+    // Of every pair's block, in the order of the list. Only where one ball is used.
+    [[nodiscard]] const BlockBound* listed_bounds() const { return listed_bounds_.data(); }
     // Looks at a pair with the reference point at x, and keeps what it sees. Returns the least clearance.
     double evaluate(std::uint32_t i, const Vec3& x, std::uint32_t stamp);
     [[nodiscard]] bool evaluated(std::uint32_t i) const { return pairs_[i].stamp != kListed; }
@@ -92,6 +96,7 @@ private:
 
     bool gather_node(std::uint32_t node, double reach, TickCounters& counters);
     bool gather_balls(std::uint32_t node, double reach, TickCounters& counters);
+    bool gather_one(std::uint32_t place, double reach, TickCounters& counters);
     void list(std::uint32_t block, std::uint32_t ball, double bound);
     void remember();
     void release();
@@ -104,6 +109,7 @@ private:
     const Kernels* kernels_ = nullptr;
     std::vector<Pair> pairs_, last_pairs_;
     std::vector<double> keys_, last_keys_;
+    std::vector<BlockBound> listed_bounds_;
     std::vector<EvalBlock> evaluations_;
     std::vector<std::uint32_t> free_;  // slots of evaluations_ that no pair holds
     std::vector<Known> table_;         // open addressing; entries of other epochs are empty

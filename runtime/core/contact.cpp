@@ -15,7 +15,8 @@ constexpr int kPatience = 10;
 constexpr double kShortStep = 0.1;  // mean edges; before patience ends a third of it
 // Candidates are gathered about the place that the reference point will reach in so many ticks, with this room around.
 constexpr double kTicksAhead = 1.0;
-constexpr double kRoom = 0.15;  // mean edges
+constexpr double kRoom = 0.15;        // mean edges
+constexpr double kAheadOfFace = 1.3;  // a face is proven for so many ticks' motion
 
 // Sliding over a rounded edge converges linearly, slowly where the HIP is near the centre of curvature. Successive
 // steps in one direction tell the rate (Aitken), and a short step is stretched to where they lead; it is swept all the
@@ -65,6 +66,8 @@ void ContactSolver::bind(const ActiveLevel& level, const Kernels& kernels, const
     mean_edge_mm_ = double{level.view.hash->mean_edge_mm};
     cell_mm_ = level.view.hash->cell_mm;
     candidates_.bind(level, kernels);
+    face_ = {};
+    sole_ = false;
     touched_ = false;
 }
 
@@ -146,6 +149,7 @@ void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCoun
 
 std::span<const ContactSolver::Touch> ContactSolver::touches(std::span<const SolverBall> balls,
                                                              TickCounters& counters) {
+    if (!candidates_.valid() || !candidates_hold(x_)) gather(wanted_reach(0.0), balls, counters);
     next_stamp();  // the last step was not followed by a look
     local_ = x_ - candidates_.centre();
     collect_touching(balls, counters);
@@ -153,10 +157,10 @@ std::span<const ContactSolver::Touch> ContactSolver::touches(std::span<const Sol
 }
 
 // Does every active plane still come from the inside of its face, seen from local_? Then it is the same plane.
-bool ContactSolver::still_planes(const Contact& contact) {
+bool ContactSolver::still_planes(const Contact& contact, std::span<const SolverBall> balls) {
     for (int i = 0; i < contact.active; ++i) {
         const ContactPlane& p = contact.planes[i];
-        const Triangle t = candidates_.triangle(p.block, p.lane);
+        const Triangle t = triangle_of(p, balls[p.ball]);
         const Vec3 n = cross(t.b - t.a, t.c - t.a);
         const double along = dot(n, p.normal);
         if (along * along < (1.0 - 1e-12) * norm2(n) || !closest_on_triangle(local_, t).interior) return false;
@@ -235,6 +239,13 @@ bool ContactSolver::gather_further(double& wanted, std::span<const SolverBall> b
 // gathered on the way. True: all of it.
 bool ContactSolver::travel(Vec3 step, double& wanted, int& iteration, std::span<const SolverBall> balls,
                            TickCounters& counters) {
+    if (const double length2 = norm2(step); length2 <= proven_ * proven_) {
+        x_ += step;
+        path_ += std::sqrt(length2);
+        local_ += step;
+        proven_ = 0.0;
+        return true;
+    }
     for (;;) {
         // Clip to the ball the candidates are complete for: |local + t step| = limit.
         const double limit = candidates_.reach() - 2.0 * tolerances_.skin;
@@ -270,8 +281,8 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
     Contact out;
     out.converged = false;
     double wanted = wanted_reach(norm(motion));
-    if (!candidates_.valid() || !candidates_hold(x_) || !candidates_hold(x_ + motion * 1.1))
-        gather_ahead(motion, balls, counters);
+    const double ahead_mm = norm(motion) * kAheadOfFace + kRoom * mean_edge_mm_;
+    bool looked_around = false;
     Slide slide;
     Vec3 last = x_, before_last = x_;
     for (int k = 0; k < kMaxIterations; ++k) {
@@ -279,19 +290,36 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         if (k > 0 && counters.work() > work_limit_) break;
         ++counters.iterations;
         next_stamp();
-        const double settled = tolerances_.settled * std::min(std::exp2(std::max(k - kPatience, 0)), 100.0);
-        if (!candidates_hold(x_)) {
-            out.active = 0;  // planes of the last step are in the old frame
-            if (!gather_further(wanted, balls, counters)) {
-                counters.errors |= kErrNotConverged;
-                out.scp = x_;
-                out.active = 0;
-                return out;
+        const double settled =
+            k <= kPatience ? tolerances_.settled : tolerances_.settled * std::min(std::exp2(k - kPatience), 100.0);
+        local_ = x_ - candidates_.centre();
+        if (!on_proven_face(balls, hip - candidates_.centre(), counters)) {
+            // What one plane holds keeps a wider view: it is cheap there, and what is proven serves the next tick.
+            const bool sole = sole_;
+            if (!looked_around && (!candidates_.valid() || !candidates_hold(x_) ||
+                                   (sole ? norm(x_ - candidates_.centre()) + ahead_mm > candidates_.reach()
+                                         : !candidates_hold(x_ + motion * 1.1)))) {
+                looked_around = true;
+                out.active = 0;  // planes of the last step are in the old frame
+                if (sole)
+                    gather(norm(motion) + ahead_mm + 16.0 * tolerances_.skin, balls, counters, motion);
+                else
+                    gather_ahead(motion, balls, counters);
             }
+            if (!candidates_hold(x_)) {
+                out.active = 0;
+                if (!gather_further(wanted, balls, counters)) {
+                    counters.errors |= kErrNotConverged;
+                    out.scp = x_;
+                    out.active = 0;
+                    return out;
+                }
+            }
+            local_ = x_ - candidates_.centre();
+            if (!find_sole_plane(balls, hip - candidates_.centre(), ahead_mm, counters))
+                collect_touching(balls, counters);
         }
         const Vec3 centre = candidates_.centre();
-        local_ = x_ - centre;
-        collect_touching(balls, counters);
         // Two faces of a shallow crease can send the point to and fro: then both count at once.
         const int touched = planes_.count;
         if (k >= 2 && norm2(x_ - before_last) < 0.25 * norm2(x_ - last))
@@ -349,7 +377,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         if (!arrived || (planes_.count > 0 && out.active == 0)) continue;
         // Arrived: at the HIP with nothing touched, or on faces whose planes are the same here. Nothing else was met on
         // the way, so there is nothing left to solve.
-        if (planes_.count == 0 || (!stretched && still_planes(out))) {
+        if (planes_.count == 0 || (!stretched && still_planes(out, balls))) {
             out.converged = true;
             break;
         }
@@ -383,7 +411,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
     for (int i = 0; i < final.active; ++i) {
         out.planes[i] = planes_.planes[final.index[i]];
         // The plane may have been taken before the last slide along it.
-        const Triangle t = candidates_.triangle(out.planes[i].block, out.planes[i].lane);
+        const Triangle t = triangle_of(out.planes[i], balls[out.planes[i].ball]);
         out.planes[i].point = closest_on_triangle(local_, t).point + balls[out.planes[i].ball].offset + centre;
         out.multiplier[i] = final.multiplier[i];
     }

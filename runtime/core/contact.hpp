@@ -150,12 +150,18 @@ private:
     }
     [[nodiscard]] double granted_here(std::uint32_t i, const SolverBall& ball);
     [[nodiscard]] double bounded_here(std::uint32_t i);
+    // sole_plane.cpp: planes of what touches at local_ where that is one plane, or none. A step of proven_ along the
+    // plane, or in the air, needs no sweep.
+    [[nodiscard]] bool on_proven_face(std::span<const SolverBall> balls, const Vec3& target, TickCounters& counters);
+    [[nodiscard]] bool find_sole_plane(std::span<const SolverBall> balls, const Vec3& target, double ahead_mm,
+                                       TickCounters& counters);
+    [[nodiscard]] Triangle triangle_of(const ContactPlane& plane, const SolverBall& ball) const;
     void collect_touching(std::span<const SolverBall> balls, TickCounters& counters);
     [[nodiscard]] bool gather_further(double& wanted, std::span<const SolverBall> balls, TickCounters& counters);
     [[nodiscard]] bool travel(Vec3 step, double& wanted, int& iteration, std::span<const SolverBall> balls,
                               TickCounters& counters);
     [[nodiscard]] double sweep(const Vec3& step, std::span<const SolverBall> balls, TickCounters& counters);
-    [[nodiscard]] bool still_planes(const Contact& contact);
+    [[nodiscard]] bool still_planes(const Contact& contact, std::span<const SolverBall> balls);
     [[nodiscard]] bool separated(const Triangle& t, double kept) const;
 
     Candidates candidates_;
@@ -167,6 +173,18 @@ private:
     Vec3 local_;  // x relative to the candidates' centre, at the last evaluation
     double work_limit_ = std::numeric_limits<double>::infinity();
     double free_distance_ = 0.0;
+    double proven_ = 0.0;
+    // A face that a ball lay on, and how far around where the ball's centre was then no triangle rises above the face.
+    struct ProvenFace {
+        static constexpr std::uint32_t kNoFace = 0xffffffffu;
+        std::uint32_t triangle = kNoFace;
+        Triangle corners;  // relative to the level's origin
+        Vec3 normal;       // to the ball's side
+        Vec3 place;        // of the ball's centre
+        double radius = 0.0;
+    };
+    ProvenFace face_;
+    bool sole_ = false;  // one plane held the tool when it was last looked for
     double path_ = 0.0;  // length moved since the gather, turns included
     std::uint32_t stamp_ =
         Candidates::kListed;  // names the present local_: what carries it need not be evaluated again

@@ -23,8 +23,9 @@ struct alignas(32) BallPack {
     float kept[8];
 };
 
-// A block's triangles lie in this ball and in this slab: |p - centre| <= radius, |normal.(p - centre)| <= half. On a
-// smooth surface the slab says almost exactly how far a ball is above it. Most blocks are passed over by this alone.
+// A block's triangles lie in this ball and in this slab: |p - centre| <= radius, |normal.(p - centre)| <= half. So they
+// lie in a disc along the normal. On a smooth surface that says almost exactly how far a ball is above it. Most blocks
+// are passed over by this alone.
 struct alignas(32) BlockBound {
     float x, y, z, radius;
     float nx, ny, nz, half;
@@ -39,6 +40,18 @@ struct Kernels {
     // lane in `active` with a bound of at most `reach`. `least` (8) falls to the least bound beyond the reach.
     void (*near)(const BlockBound* bounds, std::uint32_t count, const BallPack& balls, const float centre[3],
                  std::uint32_t active, float reach, float* least, float* low, std::uint32_t* bits);
+    // Lower bounds of the clearance between each block and one ball. Bounds are read and `low` is written up to the
+    // next multiple of eight.
+    void (*near_one)(const BlockBound* bounds, std::uint32_t count, const float centre[3], float kept, float* low);
+    // Upper bounds of how far each block rises above the plane through the place. Reads and writes as near_one().
+    void (*highest)(const BlockBound* bounds, std::uint32_t count, const float place[3], const float normal[3],
+                    float* high);
+    // Bit k: seen from shift + residual along its normal, the nearest point of triangle k's plane is on the triangle;
+    // height2[k] (8) is its squared distance.
+    std::uint32_t (*facing)(const TriBlock& block, const float shift[3], const float residual[3], float* height2);
+    // Bit k: triangle k rises by more than the margin above the plane through shift + residual.
+    std::uint32_t (*above)(const TriBlock& block, const float shift[3], const float residual[3], const float normal[3],
+                           float margin);
     // After the move (from the origin): the least clearance that the planes grant.
     float (*granted)(const EvalBlock& block, const float move[3]);
     // Bit k: after the move (from the origin) the plane of lane k does not keep the ball away by the margin.

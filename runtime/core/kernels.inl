@@ -36,17 +36,22 @@ struct V8 {
 // r = q - t e: from the nearest point of the segment to the query.
 #define RESIDUAL(r, q, t, e) r.x = (q).x - (t) * (e).x, r.y = (q).y - (t) * (e).y, r.z = (q).z - (t) * (e).z
 
-// Vector from the closest point of each triangle to the place (shift + residual), and its squared length.
-HAPTICLOD_INLINE void nearest(const float (*v)[8], const float shift[3], const float residual[3], V8& best, F8& best2) {
-    const F8 zero = {0, 0, 0, 0, 0, 0, 0, 0};
-    const F8 one = zero + 1.0f;
-    V8 a, b, c;
+// The corners as seen from the place (shift + residual).
+HAPTICLOD_INLINE void corners(const float (*v)[8], const float shift[3], const float residual[3], V8& a, V8& b, V8& c) {
     F8 row;
 #define CORNER(to, k) load(v[k], row), to = (row - shift[(k) % 3]) - residual[(k) % 3]
     CORNER(a.x, 0), CORNER(a.y, 1), CORNER(a.z, 2);
     CORNER(b.x, 3), CORNER(b.y, 4), CORNER(b.z, 5);
     CORNER(c.x, 6), CORNER(c.y, 7), CORNER(c.z, 8);
 #undef CORNER
+}
+
+// Vector from the closest point of each triangle to the place (shift + residual), and its squared length.
+HAPTICLOD_INLINE void nearest(const float (*v)[8], const float shift[3], const float residual[3], V8& best, F8& best2) {
+    const F8 zero = {0, 0, 0, 0, 0, 0, 0, 0};
+    const F8 one = zero + 1.0f;
+    V8 a, b, c;
+    corners(v, shift, residual, a, b, c);
     V8 ab, ac, bc, ap, bp, n;
     V8_SUB(ab, b, a), V8_SUB(ac, c, a), V8_SUB(bc, c, b), ap.x = -a.x, ap.y = -a.y, ap.z = -a.z, bp.x = -b.x,
                                                           bp.y = -b.y, bp.z = -b.z;
@@ -80,6 +85,50 @@ HAPTICLOD_INLINE void nearest(const float (*v)[8], const float shift[3], const f
     best2 = SELECT(inside, r2, best2);
 }
 
+HAPTICLOD_INLINE void root(const F8& v, F8& out) {
+    for (int k = 0; k < 8; ++k) out[k] = __builtin_sqrtf(v[k]);
+}
+
+// Eight bounds as eight vectors: row k of the result holds the k-th number of every bound.
+HAPTICLOD_INLINE void transpose(const BlockBound* bounds, F8 (&row)[8]) {
+    F8 a[8], b[8];
+    const float* p = &bounds->x;
+#define LOAD(k) load(p + 8 * (k), a[k])
+    LOAD(0), LOAD(1), LOAD(2), LOAD(3), LOAD(4), LOAD(5), LOAD(6), LOAD(7);
+#undef LOAD
+#define PAIR(k)                                                                 \
+    b[k] = __builtin_shufflevector(a[k], a[(k) + 1], 0, 8, 1, 9, 4, 12, 5, 13), \
+    b[(k) + 1] = __builtin_shufflevector(a[k], a[(k) + 1], 2, 10, 3, 11, 6, 14, 7, 15)
+    PAIR(0), PAIR(2), PAIR(4), PAIR(6);
+#undef PAIR
+#define FOUR(k)                                                                             \
+    a[k] = __builtin_shufflevector(b[k], b[(k) + 2], 0, 1, 8, 9, 4, 5, 12, 13),             \
+    a[(k) + 1] = __builtin_shufflevector(b[k], b[(k) + 2], 2, 3, 10, 11, 6, 7, 14, 15),     \
+    a[(k) + 2] = __builtin_shufflevector(b[(k) + 1], b[(k) + 3], 0, 1, 8, 9, 4, 5, 12, 13), \
+    a[(k) + 3] = __builtin_shufflevector(b[(k) + 1], b[(k) + 3], 2, 3, 10, 11, 6, 7, 14, 15)
+    FOUR(0), FOUR(4);
+#undef FOUR
+#define HALVES(k)                                                                 \
+    row[k] = __builtin_shufflevector(a[k], a[(k) + 4], 0, 1, 2, 3, 8, 9, 10, 11), \
+    row[(k) + 4] = __builtin_shufflevector(a[k], a[(k) + 4], 4, 5, 6, 7, 12, 13, 14, 15)
+    HALVES(0), HALVES(1), HALVES(2), HALVES(3);
+#undef HALVES
+}
+
+// A block lies in a disc: the slab's part within the radius of the slab's axis. r: from the ball's centre to the
+// block's.
+HAPTICLOD_INLINE void disc_bound(const V8& r, const V8& normal, const F8& radius, const F8& half, F8& out) {
+    const F8 zero = {0, 0, 0, 0, 0, 0, 0, 0};
+    const F8 rr = V8_DOT(r, r);
+    F8 h = V8_DOT(r, normal), aside = rr * 0.999998f - h * h;
+    root(SELECT(aside > zero, aside, zero), aside);
+    aside -= radius;
+    aside = SELECT(aside > zero, aside, zero);
+    h = SELECT(h > zero, h, -h) - half;
+    h = SELECT(h > zero, h, zero);
+    root(aside * aside + h * h, out);
+}
+
 // Bit k: lane k of a comparison's result.
 HAPTICLOD_INLINE std::uint32_t bits_of(const I8& mask) {
 #if defined(__AVX__)
@@ -94,10 +143,6 @@ HAPTICLOD_INLINE std::uint32_t bits_of(const I8& mask) {
     for (int k = 0; k < 8; ++k) bits |= static_cast<std::uint32_t>(mask[k] & 1) << k;
     return bits;
 #endif
-}
-
-HAPTICLOD_INLINE void root(const F8& v, F8& out) {
-    for (int k = 0; k < 8; ++k) out[k] = __builtin_sqrtf(v[k]);
 }
 
 HAPTICLOD_INLINE float least_of(const F8& v) {
@@ -149,18 +194,70 @@ void near(const BlockBound* bounds, std::uint32_t count, const BallPack& balls, 
         const BlockBound& block = bounds[b];
         V8 r;
         r.x = (block.x - centre[0]) - at.x, r.y = (block.y - centre[1]) - at.y, r.z = (block.z - centre[2]) - at.z;
+        V8 normal;
+        const F8 zero = {0, 0, 0, 0, 0, 0, 0, 0};
+        normal.x = zero + block.nx, normal.y = zero + block.ny, normal.z = zero + block.nz;
         F8 d;
-        root(V8_DOT(r, r), d);
-        d -= block.radius;
-        F8 h = r.x * block.nx + r.y * block.ny + r.z * block.nz;
-        h = SELECT(h > 0.0f, h, -h) - block.half;
-        d = SELECT(d > h, d, h) - kept;
+        disc_bound(r, normal, zero + block.radius, zero + block.half, d);
+        d -= kept;
         const I8 within = d <= reach;
         bits[b] = bits_of(within) & active;
         beyond = SELECT(~within & (d < beyond), d, beyond);
         store(low + 8 * b, d);
     }
     store(least, beyond);
+}
+
+void near_one(const BlockBound* bounds, std::uint32_t count, const float centre[3], float kept, float* low) {
+    for (std::uint32_t b = 0; b < count; b += 8) {
+        F8 row[8], d;
+        transpose(bounds + b, row);
+        V8 r, normal;
+        r.x = row[0] - centre[0], r.y = row[1] - centre[1], r.z = row[2] - centre[2];
+        normal.x = row[4], normal.y = row[5], normal.z = row[6];
+        disc_bound(r, normal, row[3], row[7], d);
+        store(low + b, d - kept);
+    }
+}
+
+void highest(const BlockBound* bounds, std::uint32_t count, const float place[3], const float normal[3], float* high) {
+    for (std::uint32_t b = 0; b < count; b += 8) {
+        F8 row[8], lean;
+        transpose(bounds + b, row);
+        V8 r, m, d;
+        r.x = row[0] - place[0], r.y = row[1] - place[1], r.z = row[2] - place[2];
+        m.x = row[4], m.y = row[5], m.z = row[6];
+        // The slab has two sides: the normal of the nearer one. |d| is not less than the sine of the angle.
+        const F8 along = m.x * normal[0] + m.y * normal[1] + m.z * normal[2];
+        const I8 turned = along < 0.0f;
+        m.x = SELECT(turned, -m.x, m.x), m.y = SELECT(turned, -m.y, m.y), m.z = SELECT(turned, -m.z, m.z);
+        d.x = m.x - normal[0], d.y = m.y - normal[1], d.z = m.z - normal[2];
+        root(V8_DOT(d, d), lean);
+        store(high + b, r.x * normal[0] + r.y * normal[1] + r.z * normal[2] + row[7] + row[3] * (lean + 1e-6f));
+    }
+}
+
+std::uint32_t facing(const TriBlock& block, const float shift[3], const float residual[3], float* height2) {
+    const F8 zero = {0, 0, 0, 0, 0, 0, 0, 0};
+    V8 a, b, c, ab, ac, ap, n, ab_ap, ap_ac;
+    corners(block.v, shift, residual, a, b, c);
+    V8_SUB(ab, b, a), V8_SUB(ac, c, a), ap.x = -a.x, ap.y = -a.y, ap.z = -a.z;
+    V8_CROSS(n, ab, ac);
+    V8_CROSS(ab_ap, ab, ap), V8_CROSS(ap_ac, ap, ac);
+    const F8 nn = V8_DOT(n, n), wc = V8_DOT(n, ab_ap), wb = V8_DOT(n, ap_ac), h = V8_DOT(n, ap);
+    const I8 inside = (nn > zero) & (wb >= zero) & (wc >= zero) & (wb + wc <= nn);
+    store(height2, h * h / SELECT(nn > zero, nn, zero + 1.0f));
+    return bits_of(inside);
+}
+
+std::uint32_t above(const TriBlock& block, const float shift[3], const float residual[3], const float normal[3],
+                    float margin) {
+    V8 a, b, c;
+    corners(block.v, shift, residual, a, b, c);
+    const F8 at_a = a.x * normal[0] + a.y * normal[1] + a.z * normal[2];
+    const F8 at_b = b.x * normal[0] + b.y * normal[1] + b.z * normal[2];
+    const F8 at_c = c.x * normal[0] + c.y * normal[1] + c.z * normal[2];
+    return bits_of((at_a > margin) | (at_b > margin) | (at_c > margin));
 }
 
 }  // namespace hapticlod::HAPTICLOD_KERNEL_SPACE

@@ -25,14 +25,6 @@ void Occupancy::build(const LevelView& level) {
 }
 
 BlockBound bound_of(const TriBlock& block) {
-    float lo[3], hi[3];
-    for (int k = 0; k < 3; ++k) {
-        lo[k] = hi[k] = block.v[k][0];
-        for (int row = k; row < 9; row += 3)
-            for (const float v : block.v[row]) lo[k] = std::min(lo[k], v), hi[k] = std::max(hi[k], v);
-    }
-    BlockBound b{};
-    b.x = 0.5f * (lo[0] + hi[0]), b.y = 0.5f * (lo[1] + hi[1]), b.z = 0.5f * (lo[2] + hi[2]);
     // The slab along the sum of the area normals; without one (a block folded onto itself) any direction serves.
     float sum[3] = {0.0f, 0.0f, 0.0f};
     for (int lane = 0; lane < 8; ++lane) {
@@ -43,9 +35,37 @@ BlockBound bound_of(const TriBlock& block) {
     }
     const float length = std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
     const bool directed = length > 0.0f && std::isfinite(length);
+    BlockBound b{};
     b.nx = directed ? sum[0] / length : 1.0f, b.ny = directed ? sum[1] / length : 0.0f;
     b.nz = directed ? sum[2] / length : 0.0f;
-    float most = 0.0f, size = 0.0f;
+    // The middle of the box along the normal and two directions across it, seen from the first corner.
+    const float at[3] = {block.v[0][0], block.v[1][0], block.v[2][0]};
+    const bool steep = std::abs(b.nz) > 0.7f;
+    const float across = std::sqrt(steep ? b.nz * b.nz + b.ny * b.ny : b.nx * b.nx + b.ny * b.ny);
+    const float u[3] = {steep ? 0.0f : -b.ny / across, steep ? -b.nz / across : b.nx / across,
+                        steep ? b.ny / across : 0.0f};
+    const float w[3] = {b.ny * u[2] - b.nz * u[1], b.nz * u[0] - b.nx * u[2], b.nx * u[1] - b.ny * u[0]};
+    const float axes[3][3] = {{b.nx, b.ny, b.nz}, {u[0], u[1], u[2]}, {w[0], w[1], w[2]}};
+    float lo[3] = {0.0f, 0.0f, 0.0f}, hi[3] = {0.0f, 0.0f, 0.0f}, size = 0.0f;
+    for (int corner = 0; corner < 9; corner += 3)
+        for (int lane = 0; lane < 8; ++lane) {
+            float d[3];
+            for (int k = 0; k < 3; ++k) {
+                d[k] = block.v[corner + k][lane] - at[k];
+                size = std::max(size, std::abs(block.v[corner + k][lane]));
+            }
+            for (int k = 0; k < 3; ++k) {
+                const float along = axes[k][0] * d[0] + axes[k][1] * d[1] + axes[k][2] * d[2];
+                lo[k] = std::min(lo[k], along), hi[k] = std::max(hi[k], along);
+            }
+        }
+    float middle[3];
+    for (int k = 0; k < 3; ++k) {
+        middle[k] = at[k];
+        for (int axis = 0; axis < 3; ++axis) middle[k] += 0.5f * (lo[axis] + hi[axis]) * axes[axis][k];
+    }
+    b.x = middle[0], b.y = middle[1], b.z = middle[2];
+    float most = 0.0f;
     for (int corner = 0; corner < 9; corner += 3)
         for (int lane = 0; lane < 8; ++lane) {
             const float dx = block.v[corner][lane] - b.x, dy = block.v[corner + 1][lane] - b.y,
@@ -53,7 +73,6 @@ BlockBound bound_of(const TriBlock& block) {
             most = std::max(most, dx * dx + dy * dy + dz * dz);
             b.half = std::max(b.half, std::abs(b.nx * dx + b.ny * dy + b.nz * dz));
         }
-    for (int k = 0; k < 3; ++k) size = std::max({size, std::abs(lo[k]), std::abs(hi[k])});
     // Outward, whatever the rounding.
     b.radius = std::sqrt(most) * 1.000001f + size * 1e-6f;
     b.half += b.radius * 1e-6f + size * 1e-6f;
@@ -63,8 +82,9 @@ BlockBound bound_of(const TriBlock& block) {
 ActiveLevel::ActiveLevel(const LevelView& level) : view(level) {
     occupancy.build(level);
     closed = std::find(level.adjacency.begin(), level.adjacency.end(), kNoNeighbour) == level.adjacency.end();
-    bounds.reserve(level.blocks.size());
+    bounds.reserve(level.blocks.size() + kBoundsBeyond);
     for (const TriBlock& block : level.blocks) bounds.push_back(bound_of(block));
+    bounds.resize(bounds.size() + kBoundsBeyond);
 }
 
 }  // namespace hapticlod

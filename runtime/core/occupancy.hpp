@@ -61,8 +61,9 @@ private:
 struct ActiveLevel {
     LevelView view;
     Occupancy occupancy;
-    std::vector<BlockBound> bounds;  // one per block
-    bool closed = false;             // no open border: what is behind the surface is inside
+    static constexpr std::size_t kBoundsBeyond = 7;  // kernels read eight at a time
+    std::vector<BlockBound> bounds;                  // one per block
+    bool closed = false;                             // no open border: what is behind the surface is inside
 
     explicit ActiveLevel(const LevelView& level);
     [[nodiscard]] std::size_t bytes() const { return occupancy.bytes() + bounds.size() * sizeof(BlockBound); }

@@ -42,6 +42,16 @@ bool project(const PlaneSet& set, const Vec3& h, bool without_slack, PlaneSoluti
 PlaneSolution nearest_feasible(const PlaneSet& set, const Vec3& target, bool without_slack, double tolerance) {
     PlaneSolution best;
     best.y = target;
+    if (set.count == 1) {  // the common case, with the same arithmetic as the general one
+        const ContactPlane& p = set.planes[0];
+        const double violation = bound(p, without_slack) - dot(p.normal, target);
+        if (violation > tolerance) {
+            best.active = 1;
+            best.multiplier[0] = violation;
+            best.y += p.normal * violation;
+        }
+        return best;
+    }
     for (int round = 0; round < 4 * kMaxPlanes; ++round) {
         int worst = -1;
         double violation = tolerance;

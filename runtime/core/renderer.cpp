@@ -33,6 +33,7 @@ struct Renderer::State {
     Mapper mapper;
     SpeedEstimator speed;
     LevelSwitch level_switch;
+    ProbeDistance probe;
     Blend blend;
     ForceGate gate;
 
@@ -54,6 +55,7 @@ struct Renderer::State {
     }
     void forget();
     double accept_pose(const Pose& pose, double time_s, TickCounters& counters);
+    double probe_distance_mm(TickCounters& counters);
     void turn(const double q[4]);
     void turn_as_asked(double motion_mm, TickCounters& counters);
     bool get_out(std::uint32_t level, double bound_mm, bool& moved, TickCounters& counters);
@@ -117,6 +119,7 @@ void Renderer::State::forget() {
     started = false;
     speed.reset();
     level_switch.reset();
+    probe.reset();
     blend.reset();
     gate.reset();
     contact = {};
@@ -147,7 +150,21 @@ void Renderer::State::turn(const double q[4]) {
     }
     tree.turn(rotation, balls);
     std::copy(q, q + 4, facing);
-    if (moved2 > 0.0) solver.rotated(std::sqrt(moved2));
+    if (moved2 > 0.0) solver.rotated(std::sqrt(moved2)), probe.moved(std::sqrt(moved2));
+}
+
+// From the tool to the surface of the level in use, as near as the thresholds need it; 0 in contact.
+double Renderer::State::probe_distance_mm(TickCounters& counters) {
+    if (contact.active > 0) {
+        probe.seen(0.0);
+    } else if (!probe.decides(config)) {
+        const double bound = ProbeDistance::bound_mm(config);
+        const auto used = tool(level_switch.level());
+        const SurfaceSide side = surface_side(solver, used, bound, counters, 0.0);
+        const double clear = side.found ? std::abs(side.distance) - used[side.ball].kept : bound;
+        probe.seen(std::clamp(clear, 0.0, bound));
+    }
+    return probe.mm();
 }
 
 // Turns the tool where it is; whatever a ball would pass through moves the tool instead. A large turn takes several
@@ -389,7 +406,8 @@ void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
     const Vec3 velocity = s.speed.update(s.hip, dt, s.config.filter_hz);
     const double speed_mm_s = norm(velocity);
     const bool by_distance = s.config.policy == static_cast<std::uint32_t>(Policy::distance);
-    const double measure = by_distance ? s.solver.free_distance() : speed_mm_s;
+    const double measure = by_distance ? s.probe_distance_mm(counters) : speed_mm_s;
+    s.probe.moved(norm(motion));
     const std::uint32_t before = s.level_switch.level();
     const std::uint32_t level = s.level_switch.update(s.config, measure, dt);
     MappingOutcome outcome = MappingOutcome::none;

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <cstring>
 
 #include "core/config_check.hpp"
 #include "io/json_text.hpp"
@@ -34,14 +36,25 @@ std::string tool_fault(std::span<const BallData> tool) {
 Result<Bundle> Bundle::open(const std::string& path) {
     Result<MappedFile> file = MappedFile::open(path);
     if (!file) return file.fault();
-    Result<std::vector<Section>> sections = read_section_table(file.value().bytes(), path);
-    if (!sections) return sections.fault();
-    Bundle bundle(std::move(file).value());
-    bundle.path_ = path;
-    bundle.sections_ = std::move(sections).value();
-    if (std::string reason = bundle.load(); !reason.empty()) {
-        return Fault{path, reason, "write the bundle again"};
+    Result<Bundle> bundle = open(file.value().bytes(), path);
+    if (bundle) bundle.value().file_ = std::move(file).value();
+    return bundle;
+}
+
+Result<Bundle> Bundle::open(std::span<const std::byte> bytes, const std::string& name) {
+    if (reinterpret_cast<std::uintptr_t>(bytes.data()) % kSectionAlignment != 0) {
+        return Fault{name, "does not start at a multiple of 64 bytes in memory", "align the buffer"};
     }
+    Result<std::vector<Section>> sections = read_section_table(bytes, name);
+    if (!sections) return sections.fault();
+    Bundle bundle;
+    bundle.path_ = name;
+    bundle.bytes_ = bytes;
+    bundle.sections_ = std::move(sections).value();
+    if (std::string reason = bundle.load_signature(); !reason.empty()) {
+        return Fault{name + ", SIGNATURE", reason, "get the bundle again from whoever signed it"};
+    }
+    if (std::string reason = bundle.load(); !reason.empty()) return Fault{name, reason, "write the bundle again"};
     return bundle;
 }
 
@@ -68,6 +81,20 @@ std::string Bundle::take(SectionType type, std::uint32_t level, std::span<const 
     }
     // Sections are 64-byte aligned in a page-aligned mapping; every T here is a plain record.
     out = {reinterpret_cast<const T*>(section->bytes.data()), section->bytes.size() / sizeof(T)};
+    return {};
+}
+
+std::string Bundle::load_signature() {
+    const Section* section = find(SectionType::signature);
+    if (section == nullptr) return {};
+    if (section->bytes.size() != sizeof(SignatureData)) {
+        return "has " + std::to_string(section->bytes.size()) + " bytes, expected 96";
+    }
+    SignatureData data;
+    std::memcpy(&data, section->bytes.data(), sizeof(data));
+    const std::size_t signed_bytes = sizeof(BundleHeader) + sections_.size() * sizeof(SectionEntry);
+    if (!verify_signature(data, bytes_.first(signed_bytes))) return "does not verify: the bundle was altered";
+    signer_ = data.public_key;
     return {};
 }
 

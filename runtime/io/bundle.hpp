@@ -2,6 +2,7 @@
 // sections this runtime does not know, which are rebuilt in memory.
 #pragma once
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -11,6 +12,7 @@
 #include "io/mapped_file.hpp"
 #include "io/motion.hpp"
 #include "io/section_table.hpp"
+#include "io/signature.hpp"
 
 namespace hapticlod {
 
@@ -20,9 +22,15 @@ public:
     // the Bundle and survive its being moved.
     [[nodiscard]] static Result<Bundle> open(const std::string& path);
 
+    // The same over bytes that the caller holds, 64-byte aligned and unchanged for as long as the Bundle lives.
+    // `name` is for messages.
+    [[nodiscard]] static Result<Bundle> open(std::span<const std::byte> bytes, const std::string& name);
+
     [[nodiscard]] const std::string& path() const { return path_; }
-    [[nodiscard]] std::size_t file_bytes() const { return file_.bytes().size(); }
+    [[nodiscard]] std::size_t file_bytes() const { return bytes_.size(); }
     [[nodiscard]] std::span<const Section> sections() const { return sections_; }
+    // Who signed it, proved; nobody where it is unsigned or signed in a way that this program does not know.
+    [[nodiscard]] const std::optional<PublicKey>& signer() const { return signer_; }
     [[nodiscard]] std::string_view manifest() const { return manifest_; }  // a JSON object, UTF-8
     [[nodiscard]] const ConfigData& config() const { return *config_; }
     [[nodiscard]] std::span<const BallData> tool() const { return tool_; }
@@ -33,17 +41,20 @@ public:
     [[nodiscard]] std::span<const TickRecord> golden_record() const { return golden_record_; }
 
 private:
-    explicit Bundle(MappedFile file) : file_(std::move(file)) {}
+    Bundle() = default;
     [[nodiscard]] const Section* find(SectionType type, std::uint32_t level = 0) const;
     template <class T>
     [[nodiscard]] std::string take(SectionType type, std::uint32_t level, std::span<const T>& out) const;
     [[nodiscard]] std::string load_level(std::uint32_t level);
     [[nodiscard]] std::string load_golden();
     [[nodiscard]] std::string load();
+    [[nodiscard]] std::string load_signature();
 
     std::string path_;
-    MappedFile file_;
+    std::optional<MappedFile> file_;  // where it was opened by name
+    std::span<const std::byte> bytes_;
     std::vector<Section> sections_;
+    std::optional<PublicKey> signer_;
     std::string_view manifest_;
     const ConfigData* config_ = nullptr;
     std::span<const BallData> tool_;

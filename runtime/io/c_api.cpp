@@ -11,6 +11,7 @@
 #include "core/renderer.hpp"
 #include "hapticlod/hapticlod.h"
 #include "io/bundle.hpp"
+#include "io/trust.hpp"
 
 using hapticlod::Bundle;
 using hapticlod::Renderer;
@@ -67,6 +68,18 @@ hlod_status guarded(char* message, std::size_t message_bytes, Work&& work) noexc
     }
 }
 
+hlod_status handed_over(hapticlod::Result<Bundle> opened, hlod_bundle** bundle, char* message,
+                        std::size_t message_bytes) {
+    if (!opened) {
+        say(message, message_bytes, opened.fault().line());
+        return HLOD_BAD_BUNDLE;
+    }
+    auto content = std::make_shared<const Bundle>(std::move(opened).value());
+    auto manifest = std::string(content->manifest());
+    *bundle = new hlod_bundle{std::move(content), std::move(manifest)};
+    return HLOD_OK;
+}
+
 }  // namespace
 
 extern "C" {
@@ -77,16 +90,18 @@ hlod_status hlod_bundle_open(const char* path, hlod_bundle** bundle, char* messa
     if (bundle == nullptr) return HLOD_BAD_ARGUMENT;
     *bundle = nullptr;
     if (path == nullptr) return HLOD_BAD_ARGUMENT;
+    return guarded(message, message_bytes,
+                   [&] { return handed_over(Bundle::open(path), bundle, message, message_bytes); });
+}
+
+hlod_status hlod_bundle_open_memory(const void* data, size_t bytes, const char* name, hlod_bundle** bundle,
+                                    char* message, size_t message_bytes) noexcept {
+    if (bundle == nullptr) return HLOD_BAD_ARGUMENT;
+    *bundle = nullptr;
+    if (data == nullptr) return HLOD_BAD_ARGUMENT;
     return guarded(message, message_bytes, [&] {
-        hapticlod::Result<Bundle> opened = Bundle::open(path);
-        if (!opened) {
-            say(message, message_bytes, opened.fault().line());
-            return HLOD_BAD_BUNDLE;
-        }
-        auto content = std::make_shared<const Bundle>(std::move(opened).value());
-        auto manifest = std::string(content->manifest());
-        *bundle = new hlod_bundle{std::move(content), std::move(manifest)};
-        return HLOD_OK;
+        const std::span<const std::byte> content(static_cast<const std::byte*>(data), bytes);
+        return handed_over(Bundle::open(content, name == nullptr ? "memory" : name), bundle, message, message_bytes);
     });
 }
 
@@ -111,6 +126,20 @@ hlod_status hlod_bundle_info(const hlod_bundle* bundle, hlod_info* info) noexcep
     }
     info->golden_ticks = content.golden_record().size();
     return HLOD_OK;
+}
+
+hlod_status hlod_bundle_trusted(const hlod_bundle* bundle, const char* trusted_keys_path, char* message,
+                                size_t message_bytes) noexcept {
+    if (bundle == nullptr) return HLOD_BAD_ARGUMENT;
+    return guarded(message, message_bytes, [&] {
+        const auto verdict = hapticlod::trust_of(
+            bundle->content->signer(),
+            trusted_keys_path == nullptr ? std::nullopt : std::optional<std::string>(trusted_keys_path));
+        say(message, message_bytes,
+            verdict ? bundle->content->path() + ": is " + verdict.value().text() : verdict.fault().line());
+        if (!verdict) return HLOD_BAD_ARGUMENT;
+        return verdict.value().trust == hapticlod::Trust::trusted ? HLOD_OK : HLOD_UNTRUSTED;
+    });
 }
 
 const char* hlod_bundle_manifest(const hlod_bundle* bundle) noexcept {

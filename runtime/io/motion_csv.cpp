@@ -12,6 +12,7 @@ namespace hapticlod {
 namespace {
 
 constexpr std::size_t kFields = 8;
+constexpr double kLongestMotionS = 86400.0;  // resampling takes memory by the second
 constexpr std::array<std::string_view, kFields> kNames = {"t_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"};
 constexpr const char* kHeaderRemedy = "the first line must name the columns t_s,x_mm,y_mm,z_mm (and qw,qx,qy,qz)";
 
@@ -141,6 +142,9 @@ Result<std::vector<MotionRow>> parse_motion_csv(std::string_view text, const std
     }
     if (columns.count == 0) return Fault{name, "has no header", kHeaderRemedy};
     if (std::string reason = check_motion(rows); !reason.empty()) return Fault{name, reason, "record the motion again"};
+    if (!(rows.back().time_s - rows.front().time_s <= kLongestMotionS)) {
+        return Fault{name, "is longer than a day", "give t_s in seconds, or a part of the motion"};
+    }
     return rows;
 }
 

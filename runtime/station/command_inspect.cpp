@@ -64,6 +64,8 @@ std::string as_json(const Bundle& bundle) {
     json.open('{');
     json.field("path", std::string_view(bundle.path())).field("format", kBundleVersion);
     json.field("bytes", std::uint64_t{bundle.file_bytes()});
+    const std::string signer = bundle.signer() ? base64(*bundle.signer()) : "";
+    json.field("signer", std::string_view(signer));
     write_config(json, bundle.config());
     json.key("levels").open('[');
     for (std::uint32_t i = 0; i < bundle.config().level_count; ++i) {
@@ -90,6 +92,8 @@ void print_text(const Bundle& bundle) {
     const ConfigData& config = bundle.config();
     std::printf("%s: bundle format %u, %.1f MB, %zu sections, all checked\n", bundle.path().c_str(), kBundleVersion,
                 static_cast<double>(bundle.file_bytes()) * 1e-6, bundle.sections().size());
+    std::printf("  %s%s\n", bundle.signer() ? "signed with ed25519 " : "not signed",
+                bundle.signer() ? base64(*bundle.signer()).c_str() : "");
     std::printf("  loop %g Hz, budget %g us, stiffness %g N/mm, force at most %g N\n", config.loop_hz, config.budget_us,
                 config.stiffness_n_mm, config.max_force_n);
     for (std::uint32_t i = 0; i < config.level_count; ++i) {

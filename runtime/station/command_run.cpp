@@ -7,6 +7,7 @@
 #include "io/bundle.hpp"
 #include "io/motion_csv.hpp"
 #include "station/arguments.hpp"
+#include "station/bundle_trust.hpp"
 #include "station/commands.hpp"
 #include "station/loop.hpp"
 #include "station/realtime.hpp"
@@ -45,8 +46,9 @@ ConfigData limited(const Bundle& bundle, const DeviceTraits& device, double limi
 }  // namespace
 
 int command_run(Words words) {
-    const auto parsed = Arguments::parse(
-        words, {{"BUNDLE"}, {"--device", "--seconds", "--motion", "--cpu"}, {"--json", "--virtual-time"}});
+    const auto parsed = Arguments::parse(words, {{"BUNDLE"},
+                                                 {"--device", "--seconds", "--motion", "--cpu", "--trusted-keys"},
+                                                 {"--json", "--virtual-time", "--accept-unsigned"}});
     if (!parsed) return refuse(parsed.fault());
     const Arguments& arguments = parsed.value();
     const auto seconds = arguments.number("--seconds", 0.0, 1e-3, 1e7);
@@ -65,6 +67,8 @@ int command_run(Words words) {
     const auto opened = Bundle::open(arguments.positional(0));
     if (!opened) return refuse(opened.fault());
     const Bundle& bundle = opened.value();
+    const auto trust = require_trust(bundle, arguments);
+    if (!trust) return refuse(trust.fault());
     auto motion = hand_motion(bundle, arguments.option("--motion"));
     if (!motion) return refuse(motion.fault());
 
@@ -100,20 +104,11 @@ int command_run(Words words) {
     safety.arm();
     const LoopOutcome outcome = run_loop(renderer, device, safety, clock, settings, stop, *tally);
 
-    const RunReport report{bundle.path(),
-                           arguments.option("--motion").value_or("golden motion"),
-                           traits,
-                           config,
-                           bundle.config().stiffness_n_mm,
-                           limit_n_mm,
-                           virtual_time,
-                           stop.load(),
-                           rights,
-                           outcome,
-                           safety.state(),
-                           safety.fault(),
-                           safety.counts(),
-                           *tally};
+    const RunReport report{bundle.path(),  trust.value(),   arguments.option("--motion").value_or("golden motion"),
+                           traits,         config,          bundle.config().stiffness_n_mm,
+                           limit_n_mm,     virtual_time,    stop.load(),
+                           rights,         outcome,         safety.state(),
+                           safety.fault(), safety.counts(), *tally};
     if (!arguments.flag("--json")) std::fputs(report_text(report).c_str(), stdout);
     std::puts(report_json(report).c_str());
     return safety.state() == State::safe ? kExitFault : kExitFine;

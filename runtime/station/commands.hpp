@@ -16,6 +16,7 @@ using Words = std::span<const std::string_view>;
 int command_run(Words words);
 int command_replay(Words words);
 int command_inspect(Words words);
+int command_verify(Words words);
 
 // Prints the fault's line to stderr; returns kExitBadInput.
 int refuse(const Fault& fault);

@@ -16,10 +16,14 @@ constexpr const char* kHelp =
     "      The real-time loop, at the bundle's rate. sim: a simulated hand and device that follow the bundle's golden\n"
     "      motion, or the given one, and feel the force. Without --seconds until Ctrl-C. --virtual-time: simulated\n"
     "      time, repeatable and as fast as it computes. The last line printed is JSON; --json prints nothing else.\n"
+    "      Bundles must be signed by a key of /etc/hapticlod/trusted_keys or ~/.config/hapticlod/trusted_keys.\n"
+    "      --trusted-keys FILE: by one of these. --accept-unsigned: run others too, and mark the report.\n"
     "  replay BUNDLE MOTION.csv OUT.csv\n"
     "      Renders a motion (t_s,x_mm,y_mm,z_mm[,qw,qx,qy,qz]) offline and writes what every tick gave.\n"
     "  inspect BUNDLE [--json]\n"
     "      Checks a bundle and says what it holds.\n"
+    "  verify BUNDLE [--trusted-keys FILE] [--accept-unsigned]\n"
+    "      Checks a bundle, and whether this station trusts who signed it.\n"
     "  --help, --version\n"
     "\n"
     "Exit status: 0 fine, 1 the safety core stopped the run, 2 bad input.\n";
@@ -28,7 +32,8 @@ struct Command {
     std::string_view name;
     int (*run)(Words);
 };
-constexpr Command kCommands[] = {{"run", command_run}, {"replay", command_replay}, {"inspect", command_inspect}};
+constexpr Command kCommands[] = {
+    {"run", command_run}, {"replay", command_replay}, {"inspect", command_inspect}, {"verify", command_verify}};
 
 }  // namespace
 
@@ -64,5 +69,5 @@ int main(int argc, char** argv) {
     } catch (const std::exception& error) {
         return refuse({"hapticlod-station", std::string("internal error (") + error.what() + ")", "report it"});
     }
-    return refuse({std::string(words[0]), "is no command", "use run, replay or inspect, or see --help"});
+    return refuse({std::string(words[0]), "is no command", "use run, replay, inspect or verify, or see --help"});
 }

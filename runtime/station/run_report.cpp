@@ -99,6 +99,7 @@ std::string report_text(const RunReport& report) {
     add(text, " on device %s: %.2f s at %g Hz, %llu ticks%s\n", std::string(report.device.name).c_str(),
         report.outcome.elapsed_s, report.config.loop_hz, static_cast<unsigned long long>(tally.ticks),
         report.virtual_time ? ", simulated time" : "");
+    if (report.trust.trust != Trust::trusted) add(text, "  bundle %s\n", report.trust.text().c_str());
     add(text, "  us              mean       p50       p99     p99.9       max\n");
     add_row(text, "loop cost", tally.loop_cost);
     if (!report.virtual_time) add_row(text, "wake-up", tally.wake_up);
@@ -131,7 +132,10 @@ std::string report_json(const RunReport& report) {
     const std::uint64_t miss = mapped(tally, MappingOutcome::miss);
     JsonWriter json;
     json.open('{');
-    json.field("bundle", std::string_view(report.bundle)).field("device", report.device.name);
+    json.field("bundle", std::string_view(report.bundle));
+    json.field("signature", std::string_view(report.trust.text()));
+    json.field("trusted", report.trust.trust == Trust::trusted);
+    json.field("device", report.device.name);
     json.field("motion", std::string_view(report.motion)).field("virtual_time", report.virtual_time);
     json.field("fifo", report.rights.fifo).field("memory_locked", report.rights.memory_locked);
     json.key("cpu");

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "core/layout.hpp"
+#include "io/trust.hpp"
 #include "station/device.hpp"
 #include "station/loop.hpp"
 #include "station/realtime.hpp"
@@ -14,6 +15,7 @@ namespace hapticlod::station {
 
 struct RunReport {
     std::string bundle;
+    TrustVerdict trust;
     std::string motion;  // where the simulated hand's path came from
     DeviceTraits device;
     ConfigData config;  // as it was run

@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdlib>
+#include <memory>
 
 #include "bundle_maker.hpp"
 
@@ -96,8 +98,42 @@ TEST(Bundle, NewerFormatsAreRefusedByName) {
 TEST(Bundle, UnknownOptionalSectionsAreSkipped) {
     MadeBundle made = plate_bundle();
     made.sections.push_back({static_cast<SectionType>(77), 0, "new", 3, kSectionOptional});
-    made.sections.push_back({SectionType::signature, 0, std::string(96, 's'), 1, kSectionOptional});
+    made.sections.push_back({SectionType::signature, 0, "signed in a way of the future", 2, kSectionOptional});
     EXPECT_EQ(refusal(made.sealed()), "");
+}
+
+TEST(Bundle, WrongSignaturesAreRefused) {
+    MadeBundle made = plate_bundle();
+    made.at(SectionType::signature) = {SectionType::signature, 0, std::string(96, 's'), 1, kSectionOptional};
+    expect_refused(made.sealed(), "SIGNATURE: does not verify");
+    made.at(SectionType::signature).bytes.pop_back();
+    expect_refused(made.sealed(), "SIGNATURE: has 95 bytes, expected 96");
+}
+
+// Bytes that were written once and must stay readable; tests/golden_bundle.py made them.
+TEST(Bundle, FormatOneIsReadInMemoryAndEveryChangeOfWhatIsSignedIsRefused) {
+    const Result<MappedFile> golden = MappedFile::open(HAPTICLOD_REPOSITORY "/tests/golden/format_1.hlod");
+    ASSERT_TRUE(golden) << golden.fault().line();
+    const auto bytes = golden.value().bytes();
+    // Exactly as large as the file, so that a sanitizer sees the first byte that is read beyond it.
+    void* memory = nullptr;
+    ASSERT_EQ(::posix_memalign(&memory, 64, bytes.size()), 0);
+    const std::unique_ptr<std::byte[], decltype(&std::free)> copy(static_cast<std::byte*>(memory), &std::free);
+    std::memcpy(copy.get(), bytes.data(), bytes.size());
+    const std::span<std::byte> file(copy.get(), bytes.size());
+    const auto opened = Bundle::open(file, "golden");
+    ASSERT_TRUE(opened) << opened.fault().line();
+    ASSERT_TRUE(opened.value().signer());
+    EXPECT_EQ(base64(*opened.value().signer()), "A6EHv/POEL4dcN0Y50vAmWfk1jCbpQ1fHdyGZBJVMbg=");
+    EXPECT_EQ(opened.value().levels()[0].triangle_count(), 8u);
+    expect_harmless(opened.value());
+    for (std::size_t place = 0; place < file.size();
+         place += place < 64 + 26 * 64 || place + 96 >= file.size() ? 1 : 31) {
+        file[place] ^= std::byte{0x04};
+        EXPECT_FALSE(Bundle::open(file, "golden")) << place;
+        file[place] ^= std::byte{0x04};
+    }
+    EXPECT_FALSE(Bundle::open(file.subspan(1), "unaligned"));
 }
 
 TEST(Bundle, UnknownAccelerationIsRebuiltAndRendersTheSame) {

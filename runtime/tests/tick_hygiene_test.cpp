@@ -20,6 +20,7 @@
 #include "core/kernels.hpp"
 #include "core/occupancy.hpp"
 #include "core/renderer.hpp"
+#include "core/surface.hpp"
 #include "core/triangle.hpp"
 #include "tests/sanitized.hpp"
 
@@ -149,7 +150,7 @@ struct Scene {
     LevelStorage levels[3];
     Renderer renderer;
 
-    Scene(Mapping mapping, bool one_point, bool materials) {
+    Scene(Mapping mapping, bool one_point, bool materials, Policy policy = Policy::velocity) {
         const Mesh meshes[3] = {globe(10.0, 48, 96), globe(9.97, 32, 64), globe(10.02, 20, 40)};
         std::vector<LevelView> views;
         for (int k = 0; k < 3; ++k) {
@@ -178,7 +179,9 @@ struct Scene {
         c.l_in_mm = c.l_out_mm = c.closest_bound_mm = 0.5;
         c.blend_s = 0.02;
         c.max_force_n = 3.0, c.max_slew_n_s = 2000.0, c.engage_s = 0.05;
-        c.speeds_mm_s[0] = 150.0, c.speeds_mm_s[1] = 300.0;
+        c.policy = static_cast<std::uint32_t>(policy);
+        const bool by_speed = policy == Policy::velocity;
+        c.speeds_mm_s[0] = by_speed ? 150.0 : 0.1, c.speeds_mm_s[1] = by_speed ? 300.0 : 0.5;
         for (int k = 0; k < 3; ++k) c.cell_mm[k] = 0.8, c.balls[k] = 20 - 4 * static_cast<std::uint32_t>(k);
         std::mt19937_64 random(3);
         std::normal_distribution<double> normal;
@@ -257,6 +260,31 @@ TEST_P(TickHygiene, NothingButArithmetic) {
     EXPECT_GT(mapped, 10);
     EXPECT_GT(inside, 0);
     EXPECT_GT(faults, 20);
+}
+
+TEST(TickHygieneDistance, NothingButArithmetic) {
+    for (const bool one_point : {true, false}) {
+        Scene scene(Mapping::two_sided, one_point, false, Policy::distance);
+        const std::vector<Step> steps = journey(kTicks / 4);
+        std::vector<TickRecord> rows(steps.size());
+#if defined(HAPTICLOD_INTERPOSED)
+        allocations = locks = writes = 0;
+        watching = true;
+#endif
+        for (std::size_t t = 0; t < steps.size(); ++t) scene.renderer.tick(steps[t].pose, steps[t].time_s, rows[t]);
+#if defined(HAPTICLOD_INTERPOSED)
+        watching = false;
+        EXPECT_EQ(allocations, 0);
+        EXPECT_EQ(locks, 0);
+        EXPECT_EQ(writes, 0);
+#endif
+        int switches = 0;
+        for (std::size_t t = 1; t < rows.size(); ++t) {
+            switches += rows[t].level != rows[t - 1].level;
+            for (const double f : rows[t].force_n) ASSERT_TRUE(std::isfinite(f));
+        }
+        EXPECT_GT(switches, 50);
+    }
 }
 
 TEST_P(TickHygiene, TwoRunsGiveTheSameBits) {
@@ -378,6 +406,69 @@ TEST(Kernels, BlockBoundsAreLowerBounds) {
         }
     }
     EXPECT_LT(tightest, 0.05);  // and they say something
+}
+
+TEST(Kernels, WhatProvesOnePlaneIsTrue) {
+    // The kernels of sole_plane.cpp, eight blocks and one ball, by both builds: equal bit for bit; bounds on the right
+    // side of what the corners and the exact distances say; lanes as double precision says, but for rounding.
+    const Kernels &scalar = scalar_kernels(), &best = best_kernels();
+    std::mt19937_64 random(17);
+    std::normal_distribution<float> normal;
+    int inside = 0, above = 0;
+    for (int round = 0; round < 1'000; ++round) {
+        TriBlock blocks[8];
+        BlockBound bounds[8];
+        for (int b = 0; b < 8; ++b) blocks[b] = random_block(random), bounds[b] = bound_of(blocks[b]);
+        const float at[3] = {normal(random), normal(random), normal(random)}, zero[3] = {0.0f, 0.0f, 0.0f};
+        const Vec3 place{at[0], at[1], at[2]}, any{normal(random), normal(random), normal(random)};
+        const Vec3 unit = any * (1.0 / norm(any));
+        const float n[3] = {static_cast<float>(unit.x), static_cast<float>(unit.y), static_cast<float>(unit.z)};
+        float low[2][8], high[2][8], height2[2][8];
+        scalar.near_one(bounds, 8, at, 0.2f, low[0]), best.near_one(bounds, 8, at, 0.2f, low[1]);
+        scalar.highest(bounds, 8, at, n, high[0]), best.highest(bounds, 8, at, n, high[1]);
+        ASSERT_EQ(std::memcmp(low[0], low[1], sizeof low[0]), 0);
+        ASSERT_EQ(std::memcmp(high[0], high[1], sizeof high[0]), 0);
+        for (int b = 0; b < 8; ++b) {
+            const auto& v = blocks[b].v;
+            const std::uint32_t facing = scalar.facing(blocks[b], at, zero, height2[0]);
+            ASSERT_EQ(facing, best.facing(blocks[b], at, zero, height2[1]));
+            ASSERT_EQ(std::memcmp(height2[0], height2[1], sizeof height2[0]), 0);
+            const std::uint32_t rising = scalar.above(blocks[b], at, zero, n, 0.1f);
+            ASSERT_EQ(rising, best.above(blocks[b], at, zero, n, 0.1f));
+            double exact = 1e300, highest = -1e300, size = norm(place);
+            for (int t = 0; t < 8; ++t) {
+                const Triangle triangle{
+                    {v[0][t], v[1][t], v[2][t]}, {v[3][t], v[4][t], v[5][t]}, {v[6][t], v[7][t], v[8][t]}};
+                const double own = std::max({norm(triangle.a), norm(triangle.b), norm(triangle.c), norm(place)});
+                size = std::max(size, own);
+                const ClosestPoint c = closest_on_triangle(place, triangle);
+                exact = std::min(exact, std::sqrt(c.distance2));
+                const double rise = std::max(
+                    {dot(unit, triangle.a - place), dot(unit, triangle.b - place), dot(unit, triangle.c - place)});
+                highest = std::max(highest, rise);
+                if (std::abs(rise - 0.1) > 1e-5 * own) {
+                    ASSERT_EQ(rising >> t & 1u, rise > 0.1 ? 1u : 0u);
+                }
+                above += rise > 0.1;
+                // A sliver's inside is a matter of rounding.
+                const Vec3 u = triangle.b - triangle.a, w = triangle.c - triangle.a;
+                const double area2 = norm2(cross(u, w));
+                if (!(area2 > 1e-4 * norm2(u) * norm2(w)) || own > 10.0) continue;
+                const std::array<double, 3> weight = weights_on(triangle, cross(u, w), area2, place);
+                const double least = std::min({weight[0], weight[1], weight[2]});
+                if (std::abs(least) < 1e-3) continue;
+                ASSERT_EQ(facing >> t & 1u, least > 0.0 ? 1u : 0u);
+                if (least > 0.0) {
+                    ASSERT_NEAR(std::sqrt(height2[0][t]), std::sqrt(c.distance2), 1e-4 * own);
+                }
+                inside += least > 0.0;
+            }
+            ASSERT_LE(low[0][b], exact - 0.2 + 3e-6 * size) << "round " << round;
+            ASSERT_GE(high[0][b], highest - 3e-6 * size) << "round " << round;
+        }
+    }
+    EXPECT_GT(inside, 1'000);
+    EXPECT_GT(above, 1'000);
 }
 
 TEST(Kernels, ClearanceIsTheDistance) {

@@ -20,6 +20,7 @@ def inspect_command(bundle: Path, /) -> None:
         The bundle to read (.hlod).
     """
     from hapticlod.bundle import read_bundle
+    from hapticlod.trust import judge_trust, read_trusted_keys, standard_trust_files
 
     held = read_bundle(bundle)
     out = Console(highlight=False, soft_wrap=True)
@@ -29,6 +30,8 @@ def inspect_command(bundle: Path, /) -> None:
         out.print(f"{name:<11}{text}", markup=False)
 
     line("bundle", f"{held.path}, {held.file_bytes / 1e6:.1f} MB, {len(held.sections)} sections, all digests match")
+    trusted = [key for path in standard_trust_files() for key in read_trusted_keys(path)]
+    line("signature", judge_trust(held.signer, trusted)[1])
     scan = held.manifest.get("scan")
     if isinstance(scan, dict):
         line("scan", f"{scan.get('name')}, {scan.get('triangles')} triangles, from {scan.get('source')}")

@@ -42,6 +42,7 @@ def tune_command(
     over: Literal["pooled", "mean", "worst"] = "pooled",
     seed: int = 0,
     json: Path | None = None,
+    key: Path | None = None,
 ) -> None:
     """Tune a scan for a station and a tool, and write one bundle.
 
@@ -77,9 +78,12 @@ def tune_command(
         Of everything random: the same seed gives the same answer from the same measurements.
     json
         Also write the result as JSON.
+    key
+        Secret key that signs the bundle. Default: your own (`hapticlod key new`), if you have one.
     """
     from hapticlod.material_map import load_materials
     from hapticlod.motion import load_motion
+    from hapticlod.signature import load_key, own_key
     from hapticlod.station import load_station
     from hapticlod.tool import load_tool
 
@@ -89,6 +93,7 @@ def tune_command(
     if json is not None:
         check_writable(json, [*inputs, output])
     target = _adjusted(load_station(station or shipped_config(DEFAULT_STATION)), loop_hz, budget_us)
+    signing = own_key() if key is None else load_key(key)
     made_of = None if materials is None else load_materials(materials)
     held = load_tool(tool or shipped_config(DEFAULT_TOOL))
     recorded = [motion for path in motions for motion in load_motion(path, target.loop_hz)]
@@ -111,13 +116,13 @@ def tune_command(
             cleaned, target, held, recorded or None, levels=level_counts, over=over, seed=seed, progress=progress
         )
         progress("write the bundle", 0.0)
-        write_tuned(output, result, cleaned, target, held, seed)
+        write_tuned(output, result, cleaned, target, held, seed, signing)
         if json is not None:
             write_json(json, document(result))
-    _show(result, target, output, json)
+    _show(result, target, output, json, "not signed" if signing is None else f"signed by {signing.name}")
 
 
-def _show(result: TuneResult, station: Station, output: Path, json: Path | None) -> None:
+def _show(result: TuneResult, station: Station, output: Path, json: Path | None, signed: str) -> None:
     """The table, the configuration in one line, the reason, and where it went."""
     out = Console(highlight=False)
     measured = {**result.baselines, "tuned": result.measured}
@@ -129,7 +134,8 @@ def _show(result: TuneResult, station: Station, output: Path, json: Path | None)
     out.print(result.explanation, markup=False)
     for path in (output, json):
         if path is not None:
-            out.print(f"{path}: {path.stat().st_size / 1e6:.1f} MB", markup=False, soft_wrap=True)
+            said = f", {signed}" if path == output else ""
+            out.print(f"{path}: {path.stat().st_size / 1e6:.1f} MB{said}", markup=False, soft_wrap=True)
 
 
 def parse_levels(text: str) -> tuple[int, int]:

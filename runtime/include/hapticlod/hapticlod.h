@@ -1,7 +1,8 @@
 /*
  * HapticLOD: haptic rendering of a scan with velocity-driven levels of detail.
  *
- * This header is the whole public interface and its manual. It is plain C99; link with libhapticlod and libsodium.
+ * This header is the whole public interface and its manual. It is plain C99; link with libhapticlod (CMake:
+ * find_package(HapticLOD), target HapticLOD::hapticlod; pkg-config: hapticlod). docs/embedding.md has whole programs.
  *
  *     hlod_bundle* bundle = NULL;
  *     hlod_renderer* renderer = NULL;
@@ -40,6 +41,9 @@
  * Real time. Opening maps the file; call mlockall(MCL_CURRENT | MCL_FUTURE) before or after, or the first touch of a
  * page costs a page fault inside the loop.
  *
+ * Trust. Opening proves that a bundle is undamaged and, where it is signed, that the signature is right. Whether you
+ * believe the signer is your decision: hlod_bundle_trusted asks a file of trusted keys, as hapticlod-station does.
+ *
  * Safety. The force is limited as the bundle says, but this library knows nothing of your device: check its reports,
  * its watchdog and its stability limit yourself (docs/bundle.md, hapticlod-station).
  *
@@ -77,7 +81,8 @@ typedef enum hlod_status {
     HLOD_BAD_BUNDLE = 2,   /* the file is missing, damaged, or too new; the message says which */
     HLOD_BAD_OPTION = 3,   /* an option of hlod_options cannot be used */
     HLOD_NO_MEMORY = 4,
-    HLOD_INTERNAL = 5 /* a fault of this library */
+    HLOD_INTERNAL = 5, /* a fault of this library */
+    HLOD_UNTRUSTED = 6 /* the bundle is unsigned, or signed by a key that is not (or no longer) trusted */
 } hlod_status;
 
 /* Bits of hlod_record.errors. */
@@ -149,8 +154,19 @@ HLOD_API uint32_t hlod_abi_version(void) HLOD_NOEXCEPT;
 /* Opens and checks a bundle: structure, digests, and every index and number in it. */
 HLOD_API hlod_status hlod_bundle_open(const char* path, hlod_bundle** bundle, char* message,
                                       size_t message_bytes) HLOD_NOEXCEPT;
+
+/* The same for a bundle in memory: `data` at a multiple of 64 bytes, unchanged and alive until bundle and renderers are
+ * closed. `name` is for messages and may be NULL. */
+HLOD_API hlod_status hlod_bundle_open_memory(const void* data, size_t bytes, const char* name, hlod_bundle** bundle,
+                                             char* message, size_t message_bytes) HLOD_NOEXCEPT;
 HLOD_API void hlod_bundle_close(hlod_bundle* bundle) HLOD_NOEXCEPT;
 HLOD_API hlod_status hlod_bundle_info(const hlod_bundle* bundle, hlod_info* info) HLOD_NOEXCEPT;
+
+/* HLOD_OK where the bundle is signed by a key in the file (lines: ed25519 BASE64 name [until=YYYY-MM-DD]), else
+ * HLOD_UNTRUSTED; HLOD_BAD_ARGUMENT where the file cannot be used. The message says who signed, or why not.
+ * trusted_keys_path may be NULL: /etc/hapticlod/trusted_keys and ~/.config/hapticlod/trusted_keys. */
+HLOD_API hlod_status hlod_bundle_trusted(const hlod_bundle* bundle, const char* trusted_keys_path, char* message,
+                                         size_t message_bytes) HLOD_NOEXCEPT;
 
 /* The manifest: JSON, UTF-8, terminated, valid until the bundle is closed. NULL when bundle is NULL. */
 HLOD_API const char* hlod_bundle_manifest(const hlod_bundle* bundle) HLOD_NOEXCEPT;

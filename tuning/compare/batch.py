@@ -1,0 +1,124 @@
+"""Runs a comparison: what the ledger does not hold yet is measured, in two phases, and committed as it comes.
+
+First everything that does not hang on the clock, in parallel; then the timings, one at a time on a core of their own.
+Configurations that must be tuned are tuned before both, one at a time: the tuner times replays, with all cores.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Protocol
+
+from tuning.compare.cell import Cell, measuring_digest
+from tuning.compare.ledger import Ledger, Row
+from tuning.compare.task import Outcome, Stage, Task
+
+Told = Callable[[str], None]
+
+
+class Executor(Protocol):
+    """Where tasks are done: `LocalWorkers`, or Dask workers (`tuning.compare.cluster`)."""
+
+    def __enter__(self) -> Executor: ...
+    def __exit__(self, *ended: object) -> None: ...
+
+    def outcomes(self, tasks: Sequence[Task], *, alone: bool) -> Iterator[tuple[Task, Outcome]]:
+        """Each task with its outcome, as they come; `alone`: nothing beside it on its machine."""
+        ...
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a run came to. `measured`: cells this run finished; `kept`: cells that were done before it."""
+
+    measured: int
+    kept: int
+    failed: tuple[Row, ...]
+
+
+def run_batch(
+    cells: Sequence[Cell], ledger: Ledger, executor: Executor, *, core: int | None = None, told: Told | None = None
+) -> Found:
+    """Measures the cells that the ledger does not hold.
+
+    Args:
+        cells: of `tuning.compare.plan`. core: to time on.
+        told: gets a line for every task that ends.
+
+    Raises:
+        InputError: the ledger cannot be written any more; what was finished before is kept.
+    """
+    say: Told = told or (lambda line: None)
+    about = {"cells": len(cells), "hapticlod": version("hapticlod"), "code": measuring_digest(), **machine()}
+    ledger.note_run(about)
+    held = {row.key: row for row in ledger.rows()}
+    todo = [cell for cell in cells if cell.key not in held or not held[cell.key].is_done]
+    felt = {cell.key for cell in todo if cell.key in held and held[cell.key].feel is not None}
+    tuned = ledger.tunings()
+    failed: set[str] = set()
+
+    def fail(cell: Cell, stage: str, error: str) -> None:
+        ledger.put_error(cell, error)
+        failed.add(cell.key)
+        say(f"{stage}  {_place(cell)}: failed: {error}")
+
+    unknown = {c.tuning_key: c for c in todo if c.config is None and c.tuning_key not in tuned}
+    for task, outcome, count in _counted(executor, [Task(Stage.TUNE, cell) for cell in unknown.values()], alone=True):
+        key = task.cell.tuning_key
+        if outcome.result is None:
+            for cell in todo:
+                if cell.config is None and cell.tuning_key == key:
+                    fail(cell, count, outcome.error)
+        else:
+            ledger.put_tuning(key, outcome.result)
+            tuned[key] = outcome.result
+            levels = len(outcome.result["config"]["levels"])
+            say(f"{count}  {_place(task.cell)}: tuned, {levels} level{'s' if levels > 1 else ''}")
+
+    def tasks(stage: Stage, of: Iterable[Cell]) -> list[Task]:
+        known = {c.key: tuned.get(c.tuning_key) if c.config is None else None for c in todo}
+        return [Task(stage, cell, known[cell.key], core) for cell in of if cell.key not in failed]
+
+    for task, outcome, count in _counted(
+        executor, tasks(Stage.FEEL, [cell for cell in todo if cell.key not in felt]), alone=False
+    ):
+        if outcome.result is None:
+            fail(task.cell, count, outcome.error)
+            continue
+        ledger.put_feel(task.cell, outcome.result)
+        say(f"{count}  {_place(task.cell)}: felt error {outcome.result['metrics']['felt_error_jnd']:.2f} JND")
+    for task, outcome, count in _counted(executor, tasks(Stage.TIME, todo), alone=True):
+        if outcome.result is None:
+            fail(task.cell, count, outcome.error)
+            continue
+        ledger.put_timing(task.cell, outcome.result)
+        say(f"{count}  {_place(task.cell)}: p99.9 {outcome.result['metrics']['loop_cost_p999_us']:.1f} us")
+    bad = tuple(row for row in ledger.rows() if row.key in failed)
+    return Found(len(todo) - len(failed), len(cells) - len(todo), bad)
+
+
+def _counted(executor: Executor, tasks: list[Task], *, alone: bool) -> Iterator[tuple[Task, Outcome, str]]:
+    for done, (task, outcome) in enumerate(executor.outcomes(tasks, alone=alone), 1):
+        yield task, outcome, f"{task.stage.value} {done}/{len(tasks)}"
+
+
+def _place(cell: Cell) -> str:
+    scan, config, tool, station, motion = cell.names
+    return f"{scan}, {config}, {tool}, {station}, {motion}"
+
+
+def machine() -> dict[str, Any]:
+    """What a timing hangs on: processor, kernel, kernels in use."""
+    from hapticlod import _runtime
+
+    model = platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), model)
+    except OSError:
+        pass
+    return {"processor": model, "kernel": platform.release(), "kernels": _runtime.kernels()}

@@ -1,0 +1,1 @@
+"""Ships a bundle and the station program to a machine: as one file, or over ssh."""
