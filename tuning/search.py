@@ -27,11 +27,11 @@ from tuning.space import Space, decode
 DISCONTINUITY_WEIGHT = 1.0
 # Ties go to less work: a hundredth of a JND for a budget's worth of mean cost.
 COST_WEIGHT = 0.01
-SCREENED, STARTS = 24, 2  # points looked at per level count, and those of them that are searched from
+SCREENED, STARTS = 24, 4  # points looked at per level count, and those of them that are searched from
 MARGIN = 0.98  # of the budget that the surrogate may use
 # Switching is sharpened in stages: a soft trigger sees further, a sharp one counts right (PERCEPTION.md section 2).
 SOFT, SHARP = 6.0, 20.0
-SOFT_STEPS, MOST_STEPS = 8, 20
+SOFT_STEPS, MOST_STEPS = 8, 40
 _FEASIBLE = 1e-3
 _PROMISE = 2.0  # what a start's excess, in ln of its limit, weighs against its objective
 
