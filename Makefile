@@ -11,10 +11,11 @@ SANITIZED := build/sanitized
 # The sanitized build is also the second compiler's: clang where there is one.
 SANITIZED_CXX := $(shell command -v clang++ || command -v c++)
 CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_WERROR=ON
-CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl')
-PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts)
+CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl' 'examples/*.c')
+PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
-.PHONY: help setup configure build product test test-cpp test-sanitized test-python lint format demo bench bench-quick soak fuzz station-static test-sanitized-build \
+.PHONY: help setup configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-python \
+    lint format demo bench bench-quick bench-station soak fuzz station-static \
     evaluate-surrogate bench-tuners clean
 
 help:  ## this list
@@ -60,6 +61,17 @@ test-sanitized-build: setup
 test-sanitized: test-sanitized-build  ## C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer, short fuzzing
 	@ctest --test-dir $(SANITIZED) --output-on-failure --no-tests=error -j 2
 
+THREADED := station_telemetry_test station_hid_faults_test station_loop_test
+test-threads: setup  ## loop, writer, telemetry under ThreadSanitizer
+	@mkdir -p build
+	@cmake -S . -B build/threads $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
+	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) -DHAPTICLOD_SANITIZE=thread >build/threads.log 2>&1 || { cat build/threads.log; exit 1; }
+	@cmake --build build/threads --target $(THREADED)
+	@for test in $(THREADED); do build/threads/tests/$$test --gtest_brief=1 || exit 1; done
+
+test-hidraw-vm: build  ## the station against a real kernel's hidraw in QEMU; skipped with one line where it cannot be had
+	@scripts/test_hidraw_vm || [ $$? = 77 ]
+
 test-python: build  ## Python tests
 	@$(BIN)/python -m pytest -q -n auto --dist worksteal
 
@@ -82,13 +94,16 @@ bench: build  ## what a tick costs on 2.6 M triangles, against goals: some minut
 bench-quick: build  ## the same on 100 k triangles
 	@$(BIN)/python -m benchmarks.contact_table --quick
 
+bench-station: product  ## wake-ups and computing of the loop apart, on the demo's bundle or BUNDLE=file [SECONDS_EACH=20]
+	@$(BIN)/python -m benchmarks.bench_station $(if $(BUNDLE),--bundle="$(BUNDLE)") $(if $(SECONDS_EACH),--seconds="$(SECONDS_EACH)")
+
 TICKS ?= 100000000
 RUNS ?= 1e7
 fuzz: test-sanitized-build  ## 10^7 mutated bundles, motions and key files under sanitizers: hours; make fuzz RUNS=1e6
 	@command -v clang++ >/dev/null || { echo "make fuzz needs libFuzzer: apt-get install clang"; exit 1; }
 	@for target in bundle motion trusted_keys; do \
 	    mkdir -p build/fuzz/$$target; \
-	    $(SANITIZED)/fuzz/$${target}_fuzz -runs=$$(printf %.0f $(RUNS)) -timeout=20 -max_len=16384 -print_final_stats=1 \
+	    $(SANITIZED)/fuzz/$${target}_fuzz -runs=$$(printf %.0f $(RUNS)) -timeout=60 -max_len=16384 -print_final_stats=1 \
 	        -artifact_prefix=build/fuzz/$$target- build/fuzz/$$target runtime/fuzz/corpus/$$target || exit 1; \
 	done
 

@@ -58,6 +58,19 @@ class CostCoefficients(TomlModel):
         return self.base_ns + work * cache_factor
 
 
+class Machine(TomlModel):
+    """What `hapticlod-station calibrate` saw of the machine besides its cost. Nothing is computed from it."""
+
+    wake_up_p50_us: float = Field(ge=0, description="how late an absolute-time sleep ended, at the loop's rate")
+    wake_up_p99_us: float = Field(ge=0)
+    wake_up_p999_us: float = Field(ge=0)
+    wake_up_max_us: float = Field(ge=0)
+    l1d_kb: float = Field(ge=0, description="caches as the system states them; 0: it does not")
+    l2_kb: float = Field(ge=0)
+    l3_kb: float = Field(ge=0)
+    real_time: bool = Field(description="whether real-time priority and locked memory could be had")
+
+
 class Station(TomlModel):
     """One machine with one device.
 
@@ -83,6 +96,7 @@ class Station(TomlModel):
     slowdown: float = Field(default=1.0, gt=0, description="cost factor against the machine of `cost`")
     slowdown_reason: str = Field(default="", description="what the slowdown assumes; required where it is not 1")
     cost: CostCoefficients | None = None
+    machine: Machine | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> "Station":

@@ -28,7 +28,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def fault_at(field: str, message: str) -> PydanticCustomError:
-    """An error for a model validator that should point at `field` of that model."""
+    """An error for a model validator that should point at `field` of that model; dots lead into tables below it."""
     return PydanticCustomError("fault_at", "{message}", {"field": field, "message": message})
 
 

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -98,4 +99,14 @@ def station_program() -> Path:
 def run_station(*words: object, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
     """Runs the station with these words."""
     command = [str(station_program()), *(str(word) for word in words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)
+    # No terminal, whose keys would be emergency stops; flight recordings of starved runs not into the user's home.
+    environment = {**os.environ, "XDG_STATE_HOME": tempfile.gettempdir()}
+    return subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+        stdin=subprocess.DEVNULL,
+        env=environment,
+    )

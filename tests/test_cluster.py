@@ -28,7 +28,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def scheduler() -> Iterator[str]:
-    """Address of a scheduler with two worker processes, of which "timer" may time; both start again when they die."""
+    """Address of a scheduler with two worker processes; "timer" may time, and is started again when it dies."""
     common = {"nthreads": 1, "host": "127.0.0.1", "dashboard": False}
     workers = {
         "timer": {"cls": distributed.Nanny, "options": {**common, "resources": {TIMING: 1}}},
@@ -36,6 +36,7 @@ def scheduler() -> Iterator[str]:
     }
     about = {"cls": distributed.Scheduler, "options": {"host": "127.0.0.1", "port": 0, "dashboard": False}}
     with distributed.SpecCluster(workers, about, silence_logs=logging.CRITICAL) as cluster:
+        cluster.workers["other"].auto_restart = False  # one process less to start
         yield cluster.scheduler_address
 
 
@@ -81,6 +82,7 @@ def test_the_command_on_a_cluster(folder: Path, scheduler: str, capsys: pytest.C
     assert "2 of 2 cells on 1 scan" in capsys.readouterr().out
 
 
-def test_no_scheduler() -> None:
+def test_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tuning.compare.cluster._CONNECT_S", 0.3)
     with pytest.raises(InputError, match="no scheduler answers"):
         DaskWorkers("tcp://127.0.0.1:1", 0)

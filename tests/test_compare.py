@@ -19,6 +19,7 @@ import pytest
 from compare_cases import POLICIES, STATIONS, TOOLS, cells, words, write_globe
 
 import tuning.cli
+from hapticlod.errors import InputError
 from hapticlod.metrics import METRIC_KEYS
 from tuning.compare.batch import run_batch
 from tuning.compare.ledger import APPLICATION_ID, Ledger, Row
@@ -146,24 +147,37 @@ def test_kill_9_loses_nothing_and_the_next_run_goes_on(
     assert {path.name for path in folder.iterdir() if "killed" in path.name} == {"killed.db"}
 
 
-WRITER = """
-import sys
+# What the ledger asks of a cell, without the imports that a real one needs.
+CELL = """
+import resource, signal, sys
 from pathlib import Path
-from compare_cases import cells
+from types import SimpleNamespace as Made
 from tuning.compare.ledger import Ledger
+from hapticlod.errors import InputError
 folder = Path(sys.argv[1])
+def cell(number):
+    motion = Made(modes=(), seconds=1.0, seed=0, path=None, digest="")
+    scan, tool = Made(path="a.stl", unit="mm", digest=""), Made(balls=1, digest="")
+    names = ("a", f"c{number % 7}", "t", "s", "m")
+    station = Made(model_dump=lambda mode: {})
+    return Made(key=str(number % 7), names=names, scan=scan, tool=tool, station=station, motion=motion)
+"""
+
+WRITER = (
+    CELL
+    + """
 with Ledger(folder / "written.db") as ledger:
-    for n, cell in enumerate(cells(folder, "a.stl") * 100_000):
-        ledger.put_feel(cell, {"n": n, "text": "x" * 3000})
+    for n in range(1_000_000):
+        ledger.put_feel(cell(n), {"n": n, "text": "x" * 3000})
         print(n, flush=True)
 """
+)
 
 
 def test_what_was_said_to_be_written_is_there_after_kill_9(folder: Path) -> None:
     for wanted in (1, 40):
         call = [sys.executable, "-c", WRITER, str(folder)]
-        path = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
-        running = subprocess.Popen(call, stdout=subprocess.PIPE, text=True, env=path)
+        running = subprocess.Popen(call, stdout=subprocess.PIPE, text=True)
         assert running.stdout is not None
         said = -1
         while said < wanted:
@@ -214,6 +228,17 @@ def test_a_worker_that_dies_costs_a_second_try(folder: Path, whole: list[Row]) -
         ((_, outcome),) = LocalWorkers(2).outcomes(tasks[:1], alone=False)
     assert outcome.result is None and outcome.error == "the worker was ended by signal 9, 2 times"
     assert multiprocessing.active_children() == []
+
+
+def test_what_other_code_measured_is_not_kept(folder: Path) -> None:
+    class Changed(Here):
+        def outcomes(self, tasks: list[Task], *, alone: bool) -> Iterator[tuple[Task, Outcome]]:
+            yield from ((task, Outcome({"metrics": {"felt_error_jnd": 0.0}}, code="another")) for task in tasks[:1])
+
+    with Ledger(folder / "changed.db") as ledger:
+        with pytest.raises(InputError, match="other code"):
+            run_batch(cells(folder, "a.stl"), ledger, Changed())
+        assert ledger.rows() == []
 
 
 def test_ranking_puts_what_holds_the_budget_first(whole: list[Row]) -> None:
@@ -312,30 +337,25 @@ class TestBadInput:
         assert "--scans" in refused(capsys, "-o", folder / "absent.db")
 
 
-FULL = """
-import resource, signal, sys
-from pathlib import Path
-from compare_cases import cells
-from tuning.compare.ledger import Ledger
-from hapticlod.errors import InputError
-folder = Path(sys.argv[1])
+FULL = (
+    CELL
+    + """
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-one, two = cells(folder, "a.stl")
 with Ledger(folder / "full.db") as ledger:
-    ledger.put_feel(one, {"n": 1})
+    ledger.put_feel(cell(1), {"n": 1})
     size = (folder / "full.db").stat().st_size
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
     try:
-        ledger.put_feel(two, {"n": 2, "text": "x" * 100_000})
+        ledger.put_feel(cell(2), {"n": 2, "text": "x" * 100_000})
     except InputError as error:
         print(error)
 """
+)
 
 
 def test_a_full_disk_is_said_and_what_was_written_stays(folder: Path) -> None:
-    path = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
     call = [sys.executable, "-c", FULL, str(folder)]
-    shown = subprocess.run(call, env=path, capture_output=True, text=True, check=True)
+    shown = subprocess.run(call, capture_output=True, text=True, check=True)
     assert "full.db: cannot be written" in shown.stdout and "every cell that was finished is kept" in shown.stdout
     with Ledger(folder / "full.db") as ledger:
         assert [row.feel for row in ledger.rows()] == [{"n": 1}]

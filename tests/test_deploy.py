@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from loopback_station import LoopbackStation, start_station
+from loopback_station import LoopbackStation, stand_in, start_station
 from plate_bundle import TEST_KEY, plate_parts, run_station
 
 import tuning.cli
@@ -119,6 +119,16 @@ def test_the_service_is_restarted_and_a_release_that_does_not_come_up_is_taken_b
     assert current(station).name == first
     assert log.read_text().count("restart haptics") == 2  # with the new one, then with the old one
 
+    # A script that was killed after its switch and before it had seen the service alive: doing it again settles it.
+    (station.folder / "broken").unlink()
+    assert deploy(station, bundles[1], "station", "--service", "haptics") == 0
+    (station.root / "releases" / second / "healthy").unlink()
+    (station.root / "previous").unlink()
+    station.flag("broken", f"releases/{second}")
+    assert deploy(station, bundles[1], "station", "--service", "haptics") == 2
+    assert current(station).name == first
+    assert not (station.root / "releases" / second).exists()
+
 
 def test_a_machine_that_does_not_qualify_stays_as_it_is(
     station: LoopbackStation, bundles: list[Path], capsys: pytest.CaptureFixture[str]
@@ -162,6 +172,9 @@ def test_keys_hosts_space_and_rights(
     other = tmp_path / "other_host"
     other.write_text(station.ssh_config.read_text().replace(f"{station.folder}/known", "/dev/null"))
     assert "Host key verification failed" in refused(station, capsys, bundles[0], "station", config=other)
+    options = ["--ssh-config", str(station.ssh_config), "--station", str(station.program)]
+    assert tuning.cli.run(["deploy", str(bundles[0]), "station", "--root", "/proc/hapticlod", *options]) == 2
+    assert "/proc" in capsys.readouterr().err  # nobody may write there
 
 
 def test_unsigned_bundles_need_the_flag_and_trust_can_be_sent(
@@ -191,11 +204,12 @@ def install(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
 @pytest.fixture
 def package(bundles: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
     """A package on a stick, unpacked."""
-    assert tuning.cli.run(["pack", str(bundles[0]), "-o", str(tmp_path / "station.tar")]) == 0
+    program = str(stand_in(tmp_path))
+    assert tuning.cli.run(["pack", str(bundles[0]), "-o", str(tmp_path / "station.tar"), "--station", program]) == 0
     assert "install.sh" in capsys.readouterr().out
     with tarfile.open(tmp_path / "station.tar") as tar:
         tar.extractall(tmp_path, filter="data")
-    (folder,) = tmp_path.glob("hapticlod-*")
+    (folder,) = tmp_path.glob("hapticlod-[0-9]*")
     return folder
 
 

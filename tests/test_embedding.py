@@ -1,6 +1,7 @@
 """libhapticlod as other people use it: installed, found by CMake and pkg-config, called from C and from Python."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -85,3 +86,31 @@ def test_pkg_config_finds_it_and_faults_are_one_line(
 def test_the_ctypes_example_renders(bundle: tuple[Path, Path, str]) -> None:
     source, keys, expected = bundle
     assert call(sys.executable, EXAMPLES / "python" / "touch.py", library(), source, keys) == expected
+
+
+HOST = """
+#include <hapticlod/hapticlod.h>
+#include <sys/mman.h>
+#include <stdexcept>
+struct cVector3d {  // as much of CHAI3D's as the lines use
+    double v[3];
+    cVector3d(double x = 0, double y = 0, double z = 0) : v{x, y, z} {}
+    double x() const { return v[0]; }
+    double y() const { return v[1]; }
+    double z() const { return v[2]; }
+};
+cVector3d operator+(const cVector3d&, const cVector3d&);
+cVector3d operator*(double, const cVector3d&);
+struct Device { bool getPosition(cVector3d&); bool setForce(const cVector3d&); };
+struct Clock { double getCurrentTimeSeconds(); };
+void host(Device* device, Clock& clock, cVector3d position_m, cVector3d origin_m, cVector3d shown_m) {
+"""
+
+
+def test_the_lines_for_a_chai3d_style_host_compile(tmp_path: Path) -> None:
+    text = (REPOSITORY / "docs" / "embedding.md").read_text()
+    (lines,) = re.findall(r"```cpp\n(.*?)```", text, flags=re.DOTALL)
+    source = tmp_path / "host.cpp"
+    source.write_text(f"{HOST}{lines}    (void)shown_m;\n}}\n")
+    flags = ("-std=c++17", "-Wall", "-Werror", "-Wno-unused", "-fsyntax-only", f"-I{REPOSITORY}/runtime/include")
+    call(needed("c++", "build-essential"), *flags, source)

@@ -16,7 +16,8 @@ from hapticlod.bundle.format import SectionType
 from hapticlod.bundle.structure import read_sections
 from hapticlod.bundle.write import container
 from hapticlod.errors import InputError
-from hapticlod.signature import Key, load_key, new_key, own_key, save_key
+from hapticlod.first_key import own_or_first_key
+from hapticlod.signature import Key, load_key, new_key, own_key, own_key_path, save_key
 from hapticlod.trust import TrustedKey, add_trusted_key, judge_trust, parse_trusted_keys, read_trusted_keys
 
 RUN = ("--device", "sim", "--seconds", "0.05", "--virtual-time", "--json")
@@ -185,6 +186,28 @@ def test_a_trust_file_that_others_can_write_is_refused(bundle_path: Path, tmp_pa
     path.chmod(0o644)
     path.write_text("")
     assert "not trusted here" in line_of(bundle_path, "--trusted-keys", path)
+
+
+class TestFirstKey:
+    """What the first tuning makes, so that what was tuned here runs here."""
+
+    def test_it_is_made_once_and_trusted(
+        self, bundle_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("HAPTICLOD_CONFIG", str(tmp_path / "config"))
+        key, said = own_or_first_key()
+        assert key is not None and str(own_key_path()) in said
+        assert own_or_first_key() == (key, "")
+        sign_bundle(bundle_path, bundle_path, key)
+        assert run_station("run", bundle_path, *RUN).returncode == 0
+
+    def test_without_a_place_for_it_bundles_are_not_signed(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        (tmp_path / "file").write_text("no folder")
+        monkeypatch.setenv("HAPTICLOD_CONFIG", str(tmp_path / "file" / "config"))
+        key, said = own_or_first_key()
+        assert key is None and said.startswith("the bundle will not be signed")
 
 
 class TestCommands:

@@ -36,6 +36,10 @@ app.command(
 )
 app.command("tuning.commands.check:check_command", name="check", help="Say what is wrong with a scan.")
 app.command("tuning.commands.pareto:pareto_command", name="pareto", help="Show what each budget buys, on one scan.")
+app.command("tuning.commands.devices:devices_command", name="devices", help="List, watch and record HID devices.")
+app.command(
+    "tuning.commands.recording:recording_command", name="recording", help="Turn a station's recording into CSV."
+)
 app.command("tuning.commands.compare:compare_command", name="compare", help="Rank configurations over many scans.")
 app.command("tuning.commands.experiment:experiment_command", name="experiment", help="Redraw the paper's figures.")
 app.command("tuning.commands.report:report_command", name="report", help="Write a page about a bundle or comparison.")

@@ -40,6 +40,7 @@ _RANGES: Final = {
     "crack_mm": (0.0, 1e3),
     "work_limit": (0.0, 1e12),
 }
+_MOST_COORDINATE_MM: Final = np.float32(1e9)
 _BLOCKS_AT_ONCE: Final = 1 << 16  # bounds the memory that comparing blocks with the mesh takes
 
 
@@ -104,8 +105,8 @@ def mesh_fault(vertices: np.ndarray, faces: np.ndarray) -> str:
     """`vertices` (n, 3), `faces` (m, 3)."""
     if not len(vertices) or not len(faces):
         return "has no vertices or no faces"
-    if not np.isfinite(vertices).all():
-        return "a vertex is not finite"
+    if not (np.abs(vertices) <= _MOST_COORDINATE_MM).all():
+        return "a vertex is not finite or beyond 10^9 mm"
     return "a face index is out of range" if (faces >= len(vertices)).any() else ""
 
 

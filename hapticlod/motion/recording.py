@@ -4,7 +4,8 @@
     seg,t_s,x_mm,y_mm,z_mm
     0,0.000,12.1,-3.0,5.5
 
-`seg` splits the file into motions; a missing `z_mm` means a planar motion; `qw,qx,qy,qz` are optional.
+`seg` splits the file into motions; a missing `z_mm` means a planar motion; `qw,qx,qy,qz` are optional. A file named
+`*.mcap` is a recording of the station.
 """
 
 import hashlib
@@ -19,6 +20,7 @@ from scipy.interpolate import PchipInterpolator
 
 from hapticlod.errors import InputError
 from hapticlod.motion.motion import Motion
+from hapticlod.motion.recording_mcap import motion_lines
 
 FEWEST_ROWS = 4
 MOST_TICKS = 50_000_000
@@ -33,7 +35,7 @@ def load_motion(path: str | Path, loop_hz: float, *, time_scale: float = 1.0) ->
     """Reads the motions of a file, resampled to `loop_hz` by monotone cubics (PCHIP: no overshoot).
 
     Args:
-        path: CSV, or TSV where the header has tabs. Time in s, places in mm.
+        path: CSV, TSV where the header has tabs, or a station's recording (.mcap). Time in s, places in mm.
         loop_hz: the loop rate, Hz.
         time_scale: above 1 slows the hand down; said in the provenance.
 
@@ -55,7 +57,8 @@ def load_motion(path: str | Path, loop_hz: float, *, time_scale: float = 1.0) ->
         reason = "is a folder" if path.is_dir() else (error.strerror or str(error))
         raise InputError(str(path), reason, "give the path of a motion CSV") from None
     try:
-        lines = content.decode("utf-8-sig").splitlines()
+        mcap = path.suffix.lower() == ".mcap"
+        lines = motion_lines(path) if mcap else content.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"not text (byte {error.start})", "give a CSV file") from None
     names, rows = _rows(lines, str(path))

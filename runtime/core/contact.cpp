@@ -397,7 +397,6 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         }
         return out;
     }
-    free_distance_ = planes_.count > 0 ? 0.0 : candidates_.clearance_bound(x_, path_);
     // The same planes without the skin: what the surface itself allows.
     const PlaneSolution final = nearest_feasible(planes_, hip - centre, true, 1e-3 * tolerances_.settled);
     // Between steep planes the way back to the surface is long without being nearer to it: at a cube's corner it is

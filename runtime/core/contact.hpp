@@ -126,8 +126,6 @@ public:
     }
     [[nodiscard]] std::span<BallSide> sides() { return sides_; }
     [[nodiscard]] const ToolLinks& links() const { return *links_; }
-    // Lower bound of the distance to the surface, 0 in contact: what the distance policy switches by.
-    [[nodiscard]] double free_distance() const { return free_distance_; }
     [[nodiscard]] const Tolerances& tolerances() const { return tolerances_; }
     [[nodiscard]] bool closed() const { return candidates_.level().closed; }
     [[nodiscard]] double cell_mm() const { return cell_mm_; }
@@ -172,7 +170,6 @@ private:
     Vec3 x_;
     Vec3 local_;  // x relative to the candidates' centre, at the last evaluation
     double work_limit_ = std::numeric_limits<double>::infinity();
-    double free_distance_ = 0.0;
     double proven_ = 0.0;
     // A face that a ball lay on, and how far around where the ball's centre was then no triangle rises above the face.
     struct ProvenFace {

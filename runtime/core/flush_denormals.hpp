@@ -14,8 +14,17 @@ public:
 
 private:
     unsigned saved_;
+#elif defined(__aarch64__)
+    FlushDenormals() {
+        __asm__ volatile("mrs %0, fpcr" : "=r"(saved_));
+        __asm__ volatile("msr fpcr, %0" ::"r"(saved_ | (1ull << 24)));  // FZ
+    }
+    ~FlushDenormals() { __asm__ volatile("msr fpcr, %0" ::"r"(saved_)); }
+
+private:
+    unsigned long long saved_;
 #else
-    FlushDenormals() = default;
+    FlushDenormals() {}  // not defaulted: a guard that does nothing is no unused variable
 #endif
 
 public:

@@ -86,12 +86,17 @@ private:
 // A triangle listed once may stand out of its cell by this much of the cell's edge.
 constexpr double kMostLoose = 0.35;
 
+// What a mesh from anywhere may ask for: its coordinates' products stay finite, listing its triangles ends.
+constexpr double kMostExtent = 1e15;
+constexpr double kMostVisited = 16777216.0;  // and more by the triangle: a second of work at most
+constexpr double kMostVisitedEach = 1024.0;
+
 // Triangles along a Morton curve through their first corners: least-significant-digit radix sort of 30-bit keys.
 std::vector<std::uint32_t> morton_order(std::span<const float> vertices, std::span<const std::uint32_t> faces,
                                         const HashHeader& h) {
     float size = 0.0f;
     for (int k = 0; k < 3; ++k) size = std::max(size, h.bbox_max[k] - h.bbox_min[k]);
-    const float scale = size > 0.0f ? 1023.0f / size : 0.0f;
+    const float scale = size > 1e-30f ? 1023.0f / size : 0.0f;  // smaller ones would overflow
     const std::size_t n = faces.size() / 3;
     struct Keyed {
         std::uint32_t key, face;
@@ -206,6 +211,7 @@ std::string LevelStorage::build(std::span<const float> vertices, std::span<const
     double extent = 0.0;
     for (int k = 0; k < 3; ++k)
         extent = std::max({extent, std::abs(double{header_.bbox_min[k]}), std::abs(double{header_.bbox_max[k]})});
+    if (extent > kMostExtent) return "the mesh is larger than 10^15";
     if (extent / cell_mm > 1e6) return "cell_mm is too small for the size of the mesh";
 
     // Pass 1: which cells does each triangle belong to? A small one to the cell of its middle alone, which it may
@@ -214,6 +220,7 @@ std::string LevelStorage::build(std::span<const float> vertices, std::span<const
     BrickTable table(nf / 8);
     std::vector<Entry> entries;
     entries.reserve(nf + nf / 8);
+    double visited = 0.0;  // cells tried, of all large triangles
     double edge_sum = 0.0, edge_max = 0.0, loose = 0.0;
     for (const std::uint32_t f : morton_order(vertices_, faces_, header_)) {
         const Triangle t{vertex(vertices_, faces_[3 * f]), vertex(vertices_, faces_[3 * f + 1]),
@@ -245,6 +252,9 @@ std::string LevelStorage::build(std::span<const float> vertices, std::span<const
                 lo[k] = static_cast<std::int32_t>(std::floor((least[k] - margin) / cell_mm));
                 hi[k] = static_cast<std::int32_t>(std::floor((most[k] + margin) / cell_mm));
             }
+            visited += (hi[0] - lo[0] + 1.0) * (hi[1] - lo[1] + 1.0) * (hi[2] - lo[2] + 1.0);
+            if (visited > kMostVisited + kMostVisitedEach * static_cast<double>(nf))
+                return "cell_mm is too small for the size of the triangles";
             for (std::int32_t z = lo[2]; z <= hi[2]; ++z)
                 for (std::int32_t y = lo[1]; y <= hi[1]; ++y)
                     for (std::int32_t x = lo[0]; x <= hi[0]; ++x)

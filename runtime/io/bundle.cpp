@@ -11,6 +11,8 @@
 namespace hapticlod {
 namespace {
 
+constexpr float kMostCoordinateMm = 1e9f;
+
 // What core's check_config leaves open: fields that later formats may give a meaning must be 0 in this one.
 std::string config_fault(const ConfigData& config) {
     if (std::string reason = check_config(config); !reason.empty()) return reason;
@@ -135,6 +137,9 @@ std::string Bundle::load_level(std::uint32_t level) {
     if (std::string reason = take(SectionType::faces, level, view.faces); !reason.empty()) return reason;
     const std::string at = "level " + std::to_string(level) + ": ";
     if (view.vertices.size() % 3 != 0 || view.faces.size() % 3 != 0) return at + "has incomplete vertices or faces";
+    for (const float v : view.vertices) {
+        if (!(std::abs(v) <= kMostCoordinateMm)) return at + "a vertex is not finite or beyond 10^9 mm";
+    }
     if (view.faces.size() / 3 != config_->triangles[level]) {
         return at + "has " + std::to_string(view.faces.size() / 3) + " triangles, its config says " +
                std::to_string(config_->triangles[level]);

@@ -22,7 +22,7 @@ Result<Arguments> Arguments::parse(std::span<const std::string_view> words, cons
     };
     Arguments arguments;
     for (std::size_t i = 0; i < words.size(); ++i) {
-        const std::string_view word = words[i];
+        const std::string_view word = words[i] == "-o" ? "--out" : words[i];
         if (!word.starts_with("--")) {
             if (arguments.positional_.size() == rules.positional.size()) {
                 return Fault{std::string(word), "is one argument too many", kHelp};

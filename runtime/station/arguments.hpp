@@ -1,4 +1,4 @@
-// Command-line words of one command: positional ones, `--name value` (or `--name=value`) and flags.
+// Command-line words of one command: positional ones, `--name value` (or `--name=value`) and flags. -o is --out.
 #pragma once
 #include <initializer_list>
 #include <map>

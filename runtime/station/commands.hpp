@@ -16,6 +16,11 @@ using Words = std::span<const std::string_view>;
 int command_run(Words words);
 int command_replay(Words words);
 int command_inspect(Words words);
+int command_devices(Words words);
+int command_status(Words words);
+int command_doctor(Words words);
+int command_qualify(Words words);
+int command_calibrate(Words words);
 int command_verify(Words words);
 
 // Prints the fault's line to stderr; returns kExitBadInput.

@@ -8,6 +8,7 @@
 #include "station/device.hpp"
 #include "station/safety.hpp"
 #include "station/tally.hpp"
+#include "station/telemetry.hpp"
 
 namespace hapticlod::station {
 
@@ -16,6 +17,8 @@ struct LoopSettings {
     double budget_us;
     std::uint64_t periods;  // how long to run, ticks that were left out included; 0: until stopped
     std::uint32_t level_count;
+    const std::atomic<bool>* emergency = nullptr;  // set by the operator's stop
+    TelemetryRing* telemetry = nullptr;            // told every tick
 };
 
 struct LoopOutcome {
@@ -24,7 +27,8 @@ struct LoopOutcome {
 };
 
 // Runs until the periods are over, `stop` is set, or the safety core is SAFE; the device's last force is 0. The
-// renderer must be loaded and the safety core armed. Allocates nothing, logs nothing.
+// renderer must be loaded and the safety core armed. Allocates nothing, logs nothing. Without a new report nothing is
+// rendered: the force is the last one, which the safety core fades.
 LoopOutcome run_loop(Renderer& renderer, Device& device, SafetyCore& safety, LoopClock& clock,
                      const LoopSettings& settings, const std::atomic<bool>& stop, Tally& tally) noexcept;
 

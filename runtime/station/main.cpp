@@ -1,4 +1,5 @@
 // hapticlod-station: the program of the machine that the force-feedback device is on.
+#include <clocale>
 #include <cstdio>
 #include <exception>
 #include <string>
@@ -12,12 +13,32 @@ namespace {
 constexpr const char* kHelp =
     "hapticlod-station: renders a tuned bundle on this machine\n"
     "\n"
-    "  run BUNDLE --device sim [--seconds S] [--motion CSV] [--cpu N] [--virtual-time] [--json]\n"
-    "      The real-time loop, at the bundle's rate. sim: a simulated hand and device that follow the bundle's golden\n"
-    "      motion, or the given one, and feel the force. Without --seconds until Ctrl-C. --virtual-time: simulated\n"
-    "      time, repeatable and as fast as it computes. The last line printed is JSON; --json prints nothing else.\n"
+    "  run BUNDLE --device NAME [--seconds S] [--cpu N] [--json]\n"
+    "      The real-time loop, at the bundle's rate. NAME: sim, a profile's name, or its TOML file (docs/devices.md).\n"
+    "      Without --seconds until Ctrl-C; any key, or SIGUSR1, is the emergency stop. The last line printed is JSON;\n"
+    "      --json prints nothing else.\n"
+    "      sim is a simulated hand and device that follow the bundle's golden motion and feel the force:\n"
+    "        --motion CSV           the hand's motion\n"
+    "        --virtual-time         simulated time, repeatable and as fast as it computes\n"
+    "      a device:\n"
+    "        --serial S, --path P   which one, where several match\n"
+    "        --centre-mm X,Y,Z      point of the scan that the device's origin stands for; default: the scan's centre\n"
+    "        --accept-no-watchdog   run a device whose motors keep their force when this program dies\n"
+    "        --reconnect            after it went away: wait for it, and arm it again on Enter\n"
+    "      --passivity-damping B    let the passivity controller add up to B N s/mm; else it only observes\n"
+    "      --record FILE.mcap       record every tick;  --flight FOLDER  where the last 10 s go after a fault\n"
     "      Bundles must be signed by a key of /etc/hapticlod/trusted_keys or ~/.config/hapticlod/trusted_keys.\n"
     "      --trusted-keys FILE: by one of these. --accept-unsigned: run others too, and mark the report.\n"
+    "  status [--pid N] [--once] [--json]\n"
+    "      What a running station does, from its shared memory.\n"
+    "  devices [--profile FILE] [--json]\n"
+    "      The HID devices that are there, and the profiles that know them; checks a profile.\n"
+    "  doctor [--json]\n"
+    "      What on this machine stands in a loop's way, each with its remedy.\n"
+    "  calibrate -o STATION.toml [--device NAME] [--rate HZ] [--name TEXT] [--cpu N] [--quick]\n"
+    "      Measures this machine for hapticlod tune --station: what work costs, wake-ups, caches. Some 10 s.\n"
+    "  qualify BUNDLE [-o CERTIFICATE.json] [--tolerance-n N] [--cpu N] [--json] [--accept-unsigned]\n"
+    "      Replays the golden motion here: forces as recorded, p99.9 within the budget? Status 0 passed, 1 failed.\n"
     "  replay BUNDLE MOTION.csv OUT.csv\n"
     "      Renders a motion (t_s,x_mm,y_mm,z_mm[,qw,qx,qy,qz]) offline and writes what every tick gave.\n"
     "  inspect BUNDLE [--json]\n"
@@ -33,7 +54,10 @@ struct Command {
     int (*run)(Words);
 };
 constexpr Command kCommands[] = {
-    {"run", command_run}, {"replay", command_replay}, {"inspect", command_inspect}, {"verify", command_verify}};
+    {"run", command_run},         {"replay", command_replay},       {"inspect", command_inspect},
+    {"devices", command_devices}, {"status", command_status},       {"doctor", command_doctor},
+    {"qualify", command_qualify}, {"calibrate", command_calibrate}, {"verify", command_verify},
+};
 
 }  // namespace
 
@@ -46,6 +70,7 @@ int refuse(const Fault& fault) {
 
 int main(int argc, char** argv) {
     using namespace hapticlod::station;
+    (void)std::setlocale(LC_CTYPE, "C.UTF-8");  // hidapi turns names of devices into wide characters by it
     const std::vector<std::string_view> words(argv + 1, argv + argc);
     if (words.empty()) {
         std::fputs(kHelp, stderr);
@@ -69,5 +94,5 @@ int main(int argc, char** argv) {
     } catch (const std::exception& error) {
         return refuse({"hapticlod-station", std::string("internal error (") + error.what() + ")", "report it"});
     }
-    return refuse({std::string(words[0]), "is no command", "use run, replay, inspect or verify, or see --help"});
+    return refuse({std::string(words[0]), "is no command", "see hapticlod-station --help"});
 }

@@ -82,6 +82,10 @@ void write_safety(JsonWriter& json, const SafetyCounts& counts) {
     json.field("forces_slewed", counts.forces_slewed);
     json.field("longest_overrun_run", counts.longest_overrun_run);
     json.field("degraded_ticks", counts.degraded_ticks);
+    json.field("reports_lost", counts.reports_lost).field("backlogs", counts.backlogs);
+    json.field("silences", counts.silences).field("longest_silence_ms", 1e3 * counts.longest_silence_s);
+    json.field("uncalibrated_readings", counts.uncalibrated);
+    json.field("most_energy_out_mj", counts.most_energy_out_mj).field("passivity_ticks", counts.passivity_ticks);
     json.close();
 }
 
@@ -103,6 +107,7 @@ std::string report_text(const RunReport& report) {
     add(text, "  us              mean       p50       p99     p99.9       max\n");
     add_row(text, "loop cost", tally.loop_cost);
     if (!report.virtual_time) add_row(text, "wake-up", tally.wake_up);
+    if (report.round_trip != nullptr && report.round_trip->count() > 0) add_row(text, "round trip", *report.round_trip);
     for (std::uint32_t i = 0; i < report.config.level_count; ++i) {
         add(text, "  level %u: %u triangles, %.1f %% of ticks, mean speed %.1f mm/s\n", i, report.config.triangles[i],
             100.0 * share(tally.level_ticks[i], tally.ticks), level_speed(tally, i));
@@ -121,6 +126,13 @@ std::string report_text(const RunReport& report) {
         static_cast<unsigned long long>(tally.longest_over_budget_run),
         static_cast<unsigned long long>(report.outcome.coarser_by_overrun),
         static_cast<unsigned long long>(report.safety.late_periods), static_cast<unsigned long long>(tally.skipped));
+    if (tally.ticks_without_report > 0 || report.safety.reports_lost > 0) {
+        add(text, "  ticks without a report %llu, reports lost %llu, longest silence %.1f ms\n",
+            static_cast<unsigned long long>(tally.ticks_without_report),
+            static_cast<unsigned long long>(report.safety.reports_lost), 1e3 * report.safety.longest_silence_s);
+    }
+    add(text, "  passivity: at most %.3g mJ given within one contact, damping added in %llu ticks\n",
+        report.safety.most_energy_out_mj, static_cast<unsigned long long>(report.safety.passivity_ticks));
     add(text, "  ended %s, stopped by %s, fault: %s\n", name_of(report.state), stopped_by(report),
         name_of(report.fault));
     return text;
@@ -144,6 +156,8 @@ std::string report_json(const RunReport& report) {
     json.field("seconds", report.outcome.elapsed_s).field("ticks", tally.ticks).field("skipped_ticks", tally.skipped);
     write_durations(json, "loop_cost", tally.loop_cost);
     write_durations(json, "wake_up", tally.wake_up);
+    if (report.round_trip != nullptr) write_durations(json, "round_trip", *report.round_trip);
+    json.field("ticks_without_report", tally.ticks_without_report);
     json.field("deadline_misses", report.safety.over_budget);
     json.field("deadline_miss_rate", share(report.safety.over_budget, tally.ticks));
     json.field("longest_miss_run", tally.longest_over_budget_run);
@@ -169,6 +183,8 @@ std::string report_json(const RunReport& report) {
     json.close();
     json.field("state", name_of(report.state)).field("stopped_by", stopped_by(report));
     json.field("fault", name_of(report.fault));
+    json.key("flight_recording");
+    report.flight_recording.empty() ? json.raw("null") : json.value(report.flight_recording);
     return json.close().text();
 }
 

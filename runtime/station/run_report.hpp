@@ -6,6 +6,7 @@
 #include "core/layout.hpp"
 #include "io/trust.hpp"
 #include "station/device.hpp"
+#include "station/histogram.hpp"
 #include "station/loop.hpp"
 #include "station/realtime.hpp"
 #include "station/safety.hpp"
@@ -29,6 +30,8 @@ struct RunReport {
     SafetyFault fault;
     SafetyCounts safety;
     const Tally& tally;
+    const Histogram* round_trip = nullptr;  // of forces, where the device tells
+    std::string flight_recording;           // its path; empty: none was written
 };
 
 [[nodiscard]] std::string report_text(const RunReport& report);

@@ -17,13 +17,19 @@ SimulatedDevice::SimulatedDevice(HandPath path, const SimulatedBody& body) : pat
 }
 
 DeviceTraits SimulatedDevice::traits() const noexcept {
-    return {"sim", body_.max_force_n, 2000.0, body_.encoder_mm, body_.device_damping_n_s_mm, body_.delay_s};
+    return {"sim",
+            body_.max_force_n,
+            2000.0,
+            body_.encoder_mm,
+            body_.device_damping_n_s_mm,
+            body_.delay_s + body_.read_delay_s};
 }
 
 DeviceReading SimulatedDevice::read(std::int64_t now_ns) noexcept {
     if (!started_) start_ns_ = now_ns;
     started_ = true;
-    advance(static_cast<double>(now_ns - start_ns_) * 1e-9);
+    // What is read now happened `read_delay_s` ago: forces written since then are still to come in any case.
+    advance(std::max(0.0, static_cast<double>(now_ns - start_ns_) * 1e-9 - body_.read_delay_s));
     DeviceReading reading{path_.at(time_s_).pose, time_s_};
     for (int axis = 0; axis < 3; ++axis) {
         const double step = body_.encoder_mm;
@@ -32,8 +38,8 @@ DeviceReading SimulatedDevice::read(std::int64_t now_ns) noexcept {
     return reading;
 }
 
-void SimulatedDevice::write(std::int64_t now_ns, const double force_n[3]) noexcept {
-    if (waiting_ == pending_.size()) {  // a delay of more than 16 ticks: the oldest is felt early
+void SimulatedDevice::write(std::int64_t now_ns, const double force_n[3], bool) noexcept {
+    if (waiting_ == pending_.size()) {  // a delay of more than 256 ticks: the oldest is felt early
         first_ = (first_ + 1) % pending_.size();
         --waiting_;
     }
@@ -60,6 +66,8 @@ void SimulatedDevice::integrate(double until_s) noexcept {
     const auto steps = static_cast<int>(std::ceil(span / kStep_s));
     const double h = span / steps;
     const double per_mass = 1000.0 / (body_.hand_mass_kg + body_.device_mass_kg);  // N -> mm/s^2
+    // Friction turns over within a speed that the integrator's step can follow.
+    const double turn_mm_s = std::max(1.0, 2.0 * body_.device_friction_n * per_mass * kStep_s);
     for (int i = 0; i < steps; ++i) {
         const double t = time_s_ + h * i;
         const HandTarget targets[3] = {path_.at(t), path_.at(t + 0.5 * h), path_.at(t + h)};
@@ -67,7 +75,9 @@ void SimulatedDevice::integrate(double until_s) noexcept {
             const auto acceleration = [&](const HandTarget& target, double x, double v) {
                 const double pull = body_.hand_stiffness_n_mm * (target.pose.position_mm[axis] - x) +
                                     body_.hand_damping_n_s_mm * (target.velocity_mm_s[axis] - v);
-                return per_mass * (pull - body_.device_damping_n_s_mm * v + force_n_[axis]);
+                const double drag =
+                    body_.device_damping_n_s_mm * v + body_.device_friction_n * std::tanh(v / turn_mm_s);
+                return per_mass * (pull - drag + force_n_[axis]);
             };
             const double x = position_mm_[axis], v = velocity_mm_s_[axis];
             const double a1 = acceleration(targets[0], x, v);

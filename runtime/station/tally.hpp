@@ -12,7 +12,8 @@ struct Tally {
     Histogram loop_cost;  // computing of a tick alone
     Histogram wake_up;    // from the deadline to the thread's running
     std::uint64_t ticks = 0;
-    std::uint64_t skipped = 0;  // deadlines that were left out to keep the phase
+    std::uint64_t skipped = 0;               // deadlines that were left out to keep the phase
+    std::uint64_t ticks_without_report = 0;  // in which nothing was rendered
     std::uint64_t contact_ticks = 0;
     std::uint64_t switches = 0;
     std::uint64_t longest_over_budget_run = 0;

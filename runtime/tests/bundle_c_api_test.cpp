@@ -2,6 +2,9 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <fstream>
+#include <iterator>
+#include <memory>
 
 #include "bundle_maker.hpp"
 #include "hapticlod/hapticlod.h"
@@ -93,6 +96,43 @@ TEST(CApi, BadCallsAreRefused) {
     hlod_info info{};
     info.struct_bytes = 8;  // built against another header
     EXPECT_EQ(hlod_bundle_info(bundle, &info), HLOD_BAD_ARGUMENT);
+    hlod_bundle_close(bundle);
+}
+
+TEST(CApi, OpensFromMemoryAndAsksWhomToTrust) {
+    std::ifstream golden(HAPTICLOD_REPOSITORY "/tests/golden/format_1.hlod", std::ios::binary);
+    const std::string bytes{std::istreambuf_iterator<char>(golden), {}};
+    std::vector<std::max_align_t> storage((bytes.size() + 128) / sizeof(std::max_align_t));
+    void* place = storage.data();
+    std::size_t room = storage.size() * sizeof(std::max_align_t);
+    ASSERT_NE(std::align(64, bytes.size() + 1, place, room), nullptr);
+    std::memcpy(place, bytes.data(), bytes.size());
+    hlod_bundle* bundle = nullptr;
+    char message[256];
+    EXPECT_EQ(hlod_bundle_open_memory(nullptr, 64, nullptr, &bundle, nullptr, 0), HLOD_BAD_ARGUMENT);
+    EXPECT_EQ(hlod_bundle_open_memory(static_cast<char*>(place) + 1, bytes.size(), "odd", &bundle, message, 256),
+              HLOD_BAD_BUNDLE);
+    EXPECT_NE(std::string(message).find("odd: does not start at a multiple of 64"), std::string::npos);
+    EXPECT_EQ(hlod_bundle_open_memory(place, 100, nullptr, &bundle, message, 256), HLOD_BAD_BUNDLE);
+    EXPECT_EQ(bundle, nullptr);
+    ASSERT_EQ(hlod_bundle_open_memory(place, bytes.size(), nullptr, &bundle, message, 256), HLOD_OK) << message;
+
+    const std::string key = "ed25519 A6EHv/POEL4dcN0Y50vAmWfk1jCbpQ1fHdyGZBJVMbg= tests";
+    const struct {
+        std::string lines;
+        hlod_status status;
+        const char* said;
+    } cases[] = {{key + "\n", HLOD_OK, "signed by tests, trusted"},
+                 {key + " until=2001-01-01\n", HLOD_UNTRUSTED, "whose trust has expired"},
+                 {"# nobody\n", HLOD_UNTRUSTED, "signed by a key that is not trusted here"},
+                 {"nonsense\n", HLOD_BAD_ARGUMENT, ":1: is no line of a trusted key"}};
+    for (const auto& one : cases) {
+        const test::TemporaryFile file(one.lines);
+        EXPECT_EQ(hlod_bundle_trusted(bundle, file.path().c_str(), message, sizeof(message)), one.status);
+        EXPECT_NE(std::string(message).find(one.said), std::string::npos) << message;
+    }
+    EXPECT_EQ(hlod_bundle_trusted(bundle, "/nonexistent", message, sizeof(message)), HLOD_BAD_ARGUMENT);
+    EXPECT_EQ(hlod_bundle_trusted(nullptr, nullptr, message, sizeof(message)), HLOD_BAD_ARGUMENT);
     hlod_bundle_close(bundle);
 }
 

@@ -19,7 +19,7 @@ public:
     DeviceReading read(std::int64_t now_ns) noexcept override {
         return script_(tick_++, static_cast<double>(now_ns) * 1e-9);
     }
-    void write(std::int64_t, const double force_n[3]) noexcept override {
+    void write(std::int64_t, const double force_n[3], bool) noexcept override {
         sent.push_back({force_n[0], force_n[1], force_n[2]});
     }
     std::vector<std::array<double, 3>> sent;

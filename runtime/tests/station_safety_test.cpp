@@ -226,6 +226,77 @@ TEST(Safety, SafeIsLatchedAndKeepsItsFirstFault) {
     EXPECT_EQ(bench.core.fault(), SafetyFault::force_not_finite);
 }
 
+// A wall of 1 N/mm that answers one tick late gives a mass that hits it more than it took.
+double rebound_speed_mm_s(double passivity_damping_n_s_mm, SafetyCounts& counts) {
+    SafetyLimits with = limits();
+    with.encoder_mm = 0.0;
+    with.passivity_damping_n_s_mm = passivity_damping_n_s_mm;
+    Bench bench(with);
+    bench.run();
+    double x = 0.05, v = -60.0, felt_n = 0.0;
+    for (int tick = 0; tick < 400 && !(x > 0.05 && v > 0.0); ++tick) {
+        (void)bench.read(x);
+        const double wanted = x < 0.0 ? -1.0 * x : 0.0;
+        const double sent = bench.send(wanted);
+        v += 1e3 * felt_n / 0.2 * kT;  // 0.2 kg
+        x += v * kT;
+        felt_n = sent;
+    }
+    counts = bench.core.counts();
+    return v;
+}
+
+TEST(Safety, PassivityObserverSeesEnergyAndTheControllerTakesItBack) {
+    SafetyCounts observed, controlled;
+    const double free = rebound_speed_mm_s(0.0, observed);
+    const double held = rebound_speed_mm_s(0.01, controlled);
+    EXPECT_GT(free, 61.0);  // faster out than in
+    EXPECT_GT(observed.most_energy_out_mj, 0.0);
+    EXPECT_EQ(observed.passivity_ticks, 0u);  // it only observes
+    EXPECT_LT(held, free - 0.3);
+    EXPECT_GT(controlled.passivity_ticks, 0u);
+    EXPECT_LT(controlled.most_energy_out_mj, observed.most_energy_out_mj);
+}
+
+TEST(Safety, SlowDeviceIsGrantedItsPeriods) {
+    SafetyLimits with = limits();
+    with.report_period_s = 0.02;
+    Bench bench(with);
+    bench.run();
+    LinkReport silent;
+    silent.fresh = false;
+    const auto ticks_until = [&](State state) {
+        int ticks = 0;
+        for (; ticks < 1000 && bench.core.state() != state; ++ticks) bench.core.link(silent, kT);
+        return ticks;
+    };
+    EXPECT_NEAR(ticks_until(State::degraded), 61, 1);  // more than three of its periods
+    EXPECT_NEAR(61 + ticks_until(State::safe), 240, 2);
+    EXPECT_EQ(bench.core.fault(), SafetyFault::no_report);
+}
+
+TEST(Safety, SilenceOfAnInputDeviceIsNoFault) {
+    SafetyLimits with = limits();
+    with.motors = false;
+    Bench bench(with);
+    bench.run();
+    LinkReport silent;
+    silent.fresh = false;
+    for (int tick = 0; tick < 1000; ++tick) bench.core.link(silent, kT);
+    EXPECT_EQ(bench.core.state(), State::run);
+}
+
+TEST(Safety, ClockOfTheDeviceCannotExcuseAJump) {
+    Bench bench;
+    bench.run();
+    for (int i = 0; i < 3; ++i) {
+        bench.core.link({}, kT);
+        // Its clock says that ten seconds went by: 200 mm would be no speed.
+        (void)bench.core.accept({{{200.0, 0.0, 0.0}}, bench.time_s + 10.0});
+    }
+    EXPECT_EQ(bench.core.fault(), SafetyFault::position_jump);
+}
+
 TEST(Overrun, GoesCoarserAtOnceAndFinerSlowly) {
     OverrunGovernor governor(4, kT);
     EXPECT_EQ(governor.update(false, 0), 0u);

@@ -19,6 +19,7 @@ HandPath still(double x_mm = 0.0) {
 SimulatedBody exact_encoder() {
     SimulatedBody body;
     body.encoder_mm = 0.0;
+    body.device_friction_n = 0.0;  // closed forms know none
     return body;
 }
 
@@ -27,7 +28,7 @@ TEST(SimulatedDevice, ForceStepGivesTheDampedOscillation) {
     SimulatedDevice device(still(), body);
     (void)device.read(0);
     const double force[3] = {1.0, 0.0, 0.0};
-    device.write(0, force);
+    device.write(0, force, true);
     // x'' + 2 z w x' + w^2 x = F/m, from rest.
     const double mass = body.hand_mass_kg + body.device_mass_kg;
     const double w = std::sqrt(body.hand_stiffness_n_mm * 1000.0 / mass);
@@ -49,7 +50,7 @@ TEST(SimulatedDevice, ResultDoesNotDependOnWhenItIsRead) {
     SimulatedDevice often(still(), exact_encoder()), late(still(), exact_encoder());
     for (SimulatedDevice* device : {&often, &late}) {
         (void)device->read(0);
-        device->write(0, force);
+        device->write(0, force, true);
     }
     for (int i = 1; i <= 300; ++i) (void)often.read(i * 123'457);
     (void)late.read(300 * 123'457);
@@ -63,7 +64,7 @@ TEST(SimulatedDevice, PressedHandRestsWhereSpringsBalance) {
     for (int tick = 0; tick < 2000; ++tick) {
         x = device.read(tick * kTick_ns).pose.position_mm[0];
         const double force[3] = {x < 0.0 ? -1.0 * x : 0.0, 0.0, 0.0};
-        device.write(tick * kTick_ns, force);
+        device.write(tick * kTick_ns, force, true);
     }
     EXPECT_NEAR(x, -2.0 * 0.5 / 1.5, 1e-6);
 }
@@ -88,7 +89,7 @@ double wall_amplitude(double share_of_limit) {
     for (int tick = 0; tick < 4000; ++tick) {
         const double x = device.read(tick * kTick_ns).pose.position_mm[0];
         const double force[3] = {-stiffness * (x + 1.0) + (tick < 10 ? 0.5 : 0.0), 0.0, 0.0};  // two-sided wall, a kick
-        device.write(tick * kTick_ns, force);
+        device.write(tick * kTick_ns, force, true);
         if (tick >= 3000) most = std::max(most, std::abs(x + 1.0));
     }
     return most;
@@ -97,6 +98,72 @@ double wall_amplitude(double share_of_limit) {
 TEST(SimulatedDevice, ShakesAboveTheStabilityLimitAndRestsBelowOurs) {
     EXPECT_LT(wall_amplitude(kStiffnessShare), 1e-4);
     EXPECT_GT(wall_amplitude(2.0), 1.0);
+}
+
+// The same with everything a real device has: friction, encoder steps, delays both ways, and a hand that holds it.
+double held_wall_amplitude(double share_of_limit, double read_delay_s) {
+    SimulatedBody body;
+    body.read_delay_s = read_delay_s;
+    body.hand_stiffness_n_mm = 0.02;
+    body.hand_damping_n_s_mm = 0.0;
+    SimulatedDevice device(still(-1.0), body);
+    const DeviceTraits traits = device.traits();
+    const double limit = stability_limit_n_mm(traits.damping_n_s_mm, 0.0, 1e-3, traits.delay_s);
+    double most = 0.0;
+    for (int tick = 0; tick < 6000; ++tick) {
+        const double x = device.read(tick * kTick_ns).pose.position_mm[0];
+        const double force[3] = {-share_of_limit * limit * (x + 1.0) + (tick < 20 ? 2.0 : 0.0), 0.0, 0.0};
+        device.write(tick * kTick_ns, force, true);
+        if (tick >= 5000) most = std::max(most, std::abs(device.position_mm()[0] + 1.0));
+    }
+    return most;
+}
+
+TEST(SimulatedDevice, DelaysAndEncoderStepsLowerTheLimitAndHalfOfItHolds) {
+    for (const double read_delay_s : {0.0, 1e-3, 3e-3}) {
+        EXPECT_LT(held_wall_amplitude(kStiffnessShare, read_delay_s), 0.05) << read_delay_s;  // two encoder steps
+        EXPECT_GT(held_wall_amplitude(2.0, read_delay_s), 0.5) << read_delay_s;
+    }
+}
+
+TEST(SimulatedDevice, ReadingIsOfThePast) {
+    SimulatedBody body = exact_encoder();
+    SimulatedDevice now(still(), body);
+    body.read_delay_s = 2e-3;
+    SimulatedDevice late(still(), body);
+    const double force[3] = {1.0, 0.0, 0.0};
+    for (SimulatedDevice* device : {&now, &late}) {
+        (void)device->read(0);
+        device->write(0, force, true);
+    }
+    double before[3] = {0.0, 0.0, 0.0};
+    for (int tick = 1; tick <= 50; ++tick) {
+        const double x = now.read(tick * kTick_ns).pose.position_mm[0];
+        const DeviceReading past = late.read(tick * kTick_ns);
+        EXPECT_NEAR(past.pose.position_mm[0], before[tick % 2], 1e-9) << tick;
+        EXPECT_NEAR(past.time_s, std::max(0, tick - 2) * 1e-3, 1e-12);
+        before[tick % 2] = x;
+    }
+    EXPECT_DOUBLE_EQ(late.traits().delay_s, 3e-3);
+}
+
+TEST(SimulatedDevice, FrictionHoldsASmallForce) {
+    SimulatedBody body = exact_encoder();
+    body.hand_stiffness_n_mm = body.hand_damping_n_s_mm = 0.0;  // nobody holds it
+    body.device_friction_n = 0.2;
+    double moved[2];
+    for (const double push_n : {0.1, 0.4}) {
+        SimulatedDevice device(still(), body);
+        for (int tick = 0; tick < 500; ++tick) {
+            (void)device.read(tick * kTick_ns);
+            const double force[3] = {push_n, 0.0, 0.0};
+            device.write(tick * kTick_ns, force, true);
+        }
+        moved[push_n > 0.2 ? 1 : 0] = device.velocity_mm_s()[0];
+    }
+    EXPECT_LT(moved[0], 2.0);  // creeps within the speed in which friction turns over
+    // Free of it: (0.4 - 0.2) N against 5 N s/m.
+    EXPECT_NEAR(moved[1], 200.0 / 5.0, 0.5);
 }
 
 HandPath wave() {

@@ -29,7 +29,7 @@ def compare_command(
     tools: Several = (),
     stations: Several = (),
     motions: Several = ("strokes",),
-    unit: str = "mm",
+    unit: str | None = None,
     seconds: float = 4.0,
     seed: int = 0,
     workers: int | None = None,
@@ -62,7 +62,7 @@ def compare_command(
     motions
         Recordings; or probe, trace, scan, transfer: strokes of that kind; or strokes: all four together.
     unit
-        Unit of the scans' coordinates.
+        Unit of the scans' coordinates. Default: what each file says, else a guess by its size.
     seconds
         Length of each kind of strokes.
     seed

@@ -45,7 +45,8 @@ def deploy_command(
     add_service
         Install the service and the udev rules there (as root, or with sudo without a password).
     station
-        The hapticlod-station program to install; the static one (make station-static) runs everywhere.
+        The hapticlod-station program to install. Default: the one beside this Python. The static one (make
+        station-static) needs no library there, but knows no HID device.
     trust
         Let the station trust your own key from now on.
     accept_unsigned
@@ -111,7 +112,7 @@ def pack_command(
     output
         The package to write (.tar).
     station
-        The hapticlod-station program to put in; the static one (make station-static) runs everywhere.
+        The hapticlod-station program to put in, as for `hapticlod deploy`.
     trust
         Add your public key, for install.sh --trust.
     accept_unsigned

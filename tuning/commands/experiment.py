@@ -24,7 +24,7 @@ def experiment_command(
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     seconds: float = DEFAULT_SECONDS,
     scan: Path | None = None,
-    unit: str = "mm",
+    unit: str | None = None,
     tool: Path | None = None,
     slowdown: float | None = None,
 ) -> None:
@@ -41,7 +41,7 @@ def experiment_command(
     scan
         Dentition only: a scan instead of the generated one, with levels in the paper's proportions.
     unit
-        Unit of that scan.
+        Unit of that scan. Default: what the file says, else a guess by its size.
     tool
         Tool file. Default: a point, as the paper's.
     slowdown

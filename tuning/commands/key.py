@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import getpass
 import re
-import socket
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,17 +32,20 @@ def new_command(
     output
         Where the secret key goes; the public one is written beside it as .pub. Default: your configuration folder.
     """
+    from hapticlod.first_key import make_own_key, user_at_machine
     from hapticlod.signature import new_key, own_key_path, save_key
-    from hapticlod.trust import TrustedKey, add_trusted_key, own_trust_file
+    from hapticlod.trust import own_trust_file
 
-    key = new_key(_one_word(name if name is not None else f"{getpass.getuser()}@{socket.gethostname()}"))
+    called = user_at_machine() if name is None else _one_word(name)
+    if output is None:
+        key = make_own_key(called)
+    else:
+        save_key(output, key := new_key(called))
     secret = output or own_key_path()
-    public = save_key(secret, key)
     out = Console(highlight=False, soft_wrap=True)
     out.print(f"{secret}: secret, keep it to yourself", markup=False)
-    out.print(f"{public}: public, for `hapticlod key trust` on your stations", markup=False)
+    out.print(f"{secret.with_suffix('.pub')}: public, for `hapticlod key trust` on your stations", markup=False)
     if output is None:
-        add_trusted_key(own_trust_file(), TrustedKey(key.public, key.name))
         out.print(f"{own_trust_file()}: this machine trusts it now", markup=False)
     out.print(key.public_line, markup=False)
 

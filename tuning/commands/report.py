@@ -24,7 +24,7 @@ def report_command(
     front: Path | None = None,
     quality: Path | None = None,
     scan: Path | None = None,
-    unit: str = "mm",
+    unit: str | None = None,
 ) -> None:
     """Write one HTML page that needs nothing else: no network, no folder beside it.
 
@@ -41,7 +41,7 @@ def report_command(
     scan
         For a bundle: the scan it was made of, for the 3-D view. Without it the view shows the finest level.
     unit
-        Unit of that scan.
+        Unit of that scan. Default: what the file says, else a guess by its size.
     """
     inputs = [path for path in (source, front, quality, scan) if path is not None]
     check_writable(output, inputs)

@@ -79,11 +79,12 @@ def tune_command(
     json
         Also write the result as JSON.
     key
-        Secret key that signs the bundle. Default: your own (`hapticlod key new`), if you have one.
+        Secret key that signs the bundle. Default: your own; it is made the first time.
     """
+    from hapticlod.first_key import own_or_first_key
     from hapticlod.material_map import load_materials
     from hapticlod.motion import load_motion
-    from hapticlod.signature import load_key, own_key
+    from hapticlod.signature import load_key
     from hapticlod.station import load_station
     from hapticlod.tool import load_tool
 
@@ -93,12 +94,14 @@ def tune_command(
     if json is not None:
         check_writable(json, [*inputs, output])
     target = _adjusted(load_station(station or shipped_config(DEFAULT_STATION)), loop_hz, budget_us)
-    signing = own_key() if key is None else load_key(key)
+    signing, of_key = own_or_first_key() if key is None else (load_key(key), "")
     made_of = None if materials is None else load_materials(materials)
     held = load_tool(tool or shipped_config(DEFAULT_TOOL))
     recorded = [motion for path in motions for motion in load_motion(path, target.loop_hz)]
 
     notes = Console(stderr=True, highlight=False)
+    if of_key:
+        notes.print(of_key, markup=False, soft_wrap=True)
     with StageProgress(notes) as progress:
         progress("load and clean the scan", 0.0)
         from hapticlod.material import material_lines

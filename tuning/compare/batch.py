@@ -13,6 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
+from hapticlod.errors import InputError
 from tuning.compare.cell import Cell, measuring_digest
 from tuning.compare.ledger import Ledger, Row
 from tuning.compare.task import Outcome, Stage, Task
@@ -50,7 +51,7 @@ def run_batch(
         told: gets a line for every task that ends.
 
     Raises:
-        InputError: the ledger cannot be written any more; what was finished before is kept.
+        InputError: the ledger cannot be written any more, or a worker ran other code; what was finished before is kept.
     """
     say: Told = told or (lambda line: None)
     about = {"cells": len(cells), "hapticlod": version("hapticlod"), "code": measuring_digest(), **machine()}
@@ -103,6 +104,10 @@ def run_batch(
 
 def _counted(executor: Executor, tasks: list[Task], *, alone: bool) -> Iterator[tuple[Task, Outcome, str]]:
     for done, (task, outcome) in enumerate(executor.outcomes(tasks, alone=alone), 1):
+        if outcome.result is not None and outcome.code != measuring_digest():
+            # It would be kept under the code of this process.
+            what, remedy = "a worker ran other code than this comparison was started with", "run the same command again"
+            raise InputError("HapticLOD was changed meanwhile", what, remedy)
         yield task, outcome, f"{task.stage.value} {done}/{len(tasks)}"
 
 

@@ -23,11 +23,11 @@ TUNED = "tuned"
 
 @dataclass(frozen=True)
 class ScanFile:
-    """A scan by its file: name in tables, path, unit of its numbers, digest of its bytes."""
+    """A scan by its file: name in tables, path, unit of its numbers (None: to be found), digest of its bytes."""
 
     name: str
     path: Path
-    unit: str
+    unit: str | None
     digest: str
 
 
@@ -69,7 +69,7 @@ class Cell:
     @property
     def ground(self) -> tuple[str, str, str, str]:
         """Cells of one ground share scan, motions and reference: a worker keeps these while it stays on one."""
-        return self.scan.digest + self.scan.unit, self.tool.digest, _text(self.station), repr(self.motion)
+        return f"{self.scan.digest} {self.scan.unit}", self.tool.digest, _text(self.station), repr(self.motion)
 
     @cached_property
     def key(self) -> str:

@@ -13,7 +13,7 @@ from typing import TypeVar
 from hapticlod.config import LodConfig
 from hapticlod.errors import InputError
 from hapticlod.motion.strokes import MODES
-from hapticlod.scan import UNITS_MM
+from hapticlod.scan_unit import named_unit
 from hapticlod.scheme import Scheme, load_scheme
 from hapticlod.station import load_station
 from hapticlod.tool import load_tool
@@ -30,7 +30,7 @@ def plan_cells(
     stations: Sequence[str],
     motions: Sequence[str],
     *,
-    unit: str = "mm",
+    unit: str | None = None,
     seconds: float = 4.0,
     seed: int = 0,
 ) -> list[Cell]:
@@ -40,13 +40,13 @@ def plan_cells(
         scans, tools, stations: paths and glob patterns.
         configs: the same, of configurations and schemes, and the word "tuned".
         motions: paths and patterns of recordings; names of stroke modes; "strokes": all modes, measured as one motion.
-        unit: of the scans. seconds: of each mode of strokes. seed: of strokes and tuning.
+        unit: of the scans; None: found for each. seconds: of each mode of strokes. seed: of strokes and tuning.
 
     Raises:
         InputError: a pattern that matches nothing, a file that is no such thing, two of one kind with one name.
     """
-    if unit not in UNITS_MM:
-        raise InputError("--unit", f"{unit!r} is no unit", f"give one of {', '.join(UNITS_MM)}")
+    if unit is not None:
+        named_unit(unit)
     if not 1.0 <= seconds <= 3600.0:
         raise InputError("--seconds", f"{seconds:g} s", "give 1 to 3600")
     files = matching("--scans", scans)

@@ -7,7 +7,7 @@ from enum import Enum
 from typing import Any
 
 from hapticlod.errors import HapticLODError
-from tuning.compare.cell import Cell
+from tuning.compare.cell import Cell, measuring_digest
 
 
 class Stage(Enum):
@@ -35,10 +35,11 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A result, or in one line why there is none."""
+    """A result, or in one line why there is none; `code`: what measured it, where the worker came to say so."""
 
     result: dict[str, Any] | None = None
     error: str = ""
+    code: str = ""
 
 
 def perform(task: Task) -> Outcome:
@@ -47,10 +48,10 @@ def perform(task: Task) -> Outcome:
 
     try:
         if task.stage is Stage.TUNE:
-            return Outcome(tune_cell(task.cell))
+            return Outcome(tune_cell(task.cell), code=measuring_digest())
         if task.stage is Stage.FEEL:
-            return Outcome(feel_of(task.cell, task.tuned))
-        return Outcome(timing_of(task.cell, task.tuned, task.core))
+            return Outcome(feel_of(task.cell, task.tuned), code=measuring_digest())
+        return Outcome(timing_of(task.cell, task.tuned, task.core), code=measuring_digest())
     except HapticLODError as error:
         return Outcome(error=" ".join(str(error).split()))
     except Exception as error:  # of any library underneath: named in the table, and the next cell comes

@@ -15,6 +15,7 @@ from typing import Final
 import hapticlod
 from hapticlod.bundle import read_bundle
 from hapticlod.errors import InputError
+from hapticlod.shipped import shipped_config
 from hapticlod.trust import TrustedKey
 
 HERE: Final = Path(__file__).resolve().parent
@@ -61,7 +62,7 @@ def write_package(bundle: Path, path: Path, *, station: Path | None = None, trus
         "hapticlod-station": program,
         "install.sh": HERE / "station.sh",
         "hapticlod-station.service": HERE / "hapticlod-station.service",
-        "70-hapticlod.rules": HERE / "70-hapticlod.rules",
+        "70-hapticlod.rules": shipped_config("devices/70-hapticlod.rules"),
     }
     if trust is not None:
         files["trust.pub"] = f"{trust.line}\n".encode()

@@ -81,6 +81,12 @@ lock() {
 switch_to() {
     before=$(linked current)
     failing=$1
+    # Current already, but never seen alive: this was cut off once. What it came after is written down.
+    if [ "$before" = "$1" ]; then
+        before=$(cat "$root/releases/$1/came_after" 2>/dev/null || :)
+    else
+        printf '%s\n' "$before" >"$root/releases/$1/came_after"
+    fi
     undo() {
         trap '' INT TERM EXIT
         say "taking it back: ${before:-nothing} is current again"
@@ -115,7 +121,9 @@ install_service() {
     getent passwd hapticlod >/dev/null || as_root useradd --system --gid hapticlod --no-create-home hapticlod
     sed "s|@ROOT@|$root|g" "$1/hapticlod-station.service" >"$1/unit"
     as_root install -m 644 "$1/unit" "/etc/systemd/system/$service.service"
-    as_root install -m 644 "$1/70-hapticlod.rules" /etc/udev/rules.d/70-hapticlod.rules
+    # For the service's group as well as for who sits at the machine.
+    sed 's|TAG+="uaccess"|GROUP="hapticlod", MODE="0660", &|' "$1/70-hapticlod.rules" >"$1/rules"
+    as_root install -m 644 "$1/rules" /etc/udev/rules.d/70-hapticlod.rules
     [ -e "$root/station.env" ] || printf '# Of the service: the device, and more words for hapticlod-station run.\nDEVICE=sim\nOPTIONS=\n' >"$root/station.env"
     as_root systemctl daemon-reload
     as_root udevadm control --reload || :
@@ -143,7 +151,7 @@ install_package() {
         fail "package: was altered or damaged ($(head -n 1 "$stage/sums")); pack or copy it again"
     station=$stage/package/hapticlod-station
     said=$("$station" --version 2>&1) ||
-        fail "hapticlod-station: does not run on this machine ($(printf %s "$said" | tail -n 1)); ship the static one, make station-static"
+        fail "hapticlod-station: does not run on this machine ($(printf %s "$said" | tail -n 1)); install what it misses (libsodium23, libhidapi-hidraw0), or ship the static one, make station-static"
     say "runs here: $said"
 
     # Trust as it will be after this; it becomes the station's only when everything else was right.
@@ -162,8 +170,8 @@ install_package() {
         "$station" doctor >doctor.txt 2>&1 && say "doctor: well" || say "doctor: found something, see releases/$id/doctor.txt"
     fi
     if knows qualify; then
-        "$station" qualify bundle.hlod $accept >qualify.txt 2>&1 ||
-            fail "qualify: this machine does not pass ($(tail -n 1 qualify.txt)); tune for it, or choose another machine"
+        "$station" qualify bundle.hlod -o certificate.json $accept >qualify.txt 2>&1 ||
+            fail "qualify: this machine does not pass ($( (grep FAIL qualify.txt || cat qualify.txt) | head -n 1 | tr -s ' ')); tune for it, or choose another machine"
         say "qualify: passed"
     else
         say "qualify: this hapticlod-station has none"

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
-from hapticlod.config import load_config
+from hapticlod.config import LadderLike, load_config
 from hapticlod.dentition import make_dentition
-from hapticlod.ladder import Ladder, build_ladder
+from hapticlod.ladder import build_ladder
 from hapticlod.motion import synthesise
 from hapticlod.motion.strokes import Mode
 from hapticlod.replay import replay_levels, runtime_levels
@@ -25,7 +26,7 @@ _OFFSETS = 4.0  # of the coarsest level: the mapping length of ours
 
 
 def dentition_experiment(
-    station: Station, tool: Tool, seconds: float, scan: Path | None = None, unit: str = "mm", seed: int = 0
+    station: Station, tool: Tool, seconds: float, scan: Path | None = None, unit: str | None = None, seed: int = 0
 ) -> Outcome:
     """Level 0 alone, the paper's rule and ours, with a fast and a slow hand.
 
@@ -34,8 +35,10 @@ def dentition_experiment(
     """
     out = Outcome()
     given: Scan = make_dentition(TRIANGLES, seed) if scan is None else load_scan(scan, unit)
-    ladder: Ladder = build_ladder(given, rungs=4, coarsest_ratio=8.0)
-    paper = load_config(shipped_config("levels/paper_dentition.toml")).scaled_to(ladder, given.triangles)
+    ladder = build_ladder(given, rungs=4, coarsest_ratio=8.0)
+    paper = load_config(shipped_config("levels/paper_dentition.toml")).scaled_to(
+        cast(LadderLike, ladder), given.triangles
+    )
     coarsest = min(ladder.rungs, key=lambda rung: abs(rung.triangles - paper.levels[-1].triangles))
     reach_mm = _OFFSETS * coarsest.rms_mm
     ours = paper.changed(**OURS, l_in_mm=reach_mm, l_out_mm=reach_mm)

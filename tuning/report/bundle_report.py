@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from hapticlod import _runtime
 from hapticlod.bundle.read import Bundle, BundleLevel
@@ -18,6 +18,7 @@ from hapticlod.errors import InputError
 from hapticlod.layout import RECORD_DTYPE
 from hapticlod.replay import Record
 from hapticlod.scan import Scan
+from hapticlod.trust import judge_trust, read_trusted_keys, standard_trust_files
 from tuning.report import plots
 from tuning.report.page import figures, folded, page, section, table, words
 from tuning.report.view3d import MOST_TRIANGLES, Colouring, view_html
@@ -62,7 +63,7 @@ def bundle_report(
 def _summary(held: Bundle, record: Record | None) -> list[str]:
     manifest, config = held.manifest, held.config
     told = [words(str(manifest["explanation"]))] if manifest.get("explanation") else []
-    sizes = ", ".join(f"{level.triangles:,}".replace(",", " ") for level in held.levels)
+    sizes = ", ".join(f"{level.triangles:,}".replace(",", "\u00a0") for level in held.levels)
     many = len(held.levels) > 1
     told.append(
         words(
@@ -122,7 +123,7 @@ def _measured(manifest: Json) -> str:
         if isinstance(found, dict):
             known = [c.text(found) if isinstance(found.get(c.key), int | float) else "-" for c in COLUMNS]
             holds = manifest.get("feasible") if name == "tuned" else found.get("feasible")
-            rows.append((name, *known, {True: "yes", False: "no"}.get(holds, "-")))
+            rows.append((name, *known, "-" if holds is None else "yes" if holds else "no"))
     if not rows:
         return words("The bundle says nothing that was measured.")
     headings = ("", *(c.name for c in COLUMNS), "holds budget and memory")
@@ -253,7 +254,8 @@ def _usage(held: Bundle, record: Record, vertices: NDArray[np.float64]) -> Colou
     level = np.zeros(len(vertices), dtype=np.uint8)
     if touched.any():
         scp = record.scp[touched] - held.config["origin_mm"]
-        distance, nearest = cKDTree(scp).query(vertices, distance_upper_bound=reach + held.tool.reference_radius_mm)
+        found: Any = KDTree(scp).query(vertices, distance_upper_bound=reach + held.tool.reference_radius_mm)
+        distance, nearest = found
         near = np.isfinite(distance)
         level[near] = 1 + record.level[touched][nearest[near]]
     names = ("not touched", *(f"level {k}" for k in range(len(held.levels))))
@@ -270,6 +272,8 @@ def _distance(number: int, level: BundleLevel, vertices: NDArray[np.float64]) ->
 def _provenance(held: Bundle) -> list[str]:
     manifest = held.manifest
     rows = [("bundle", f"{held.path.name}, {held.file_bytes / 1e6:.1f} MB, all digests match")]
+    trusted = [key for path in standard_trust_files() for key in read_trusted_keys(path)]
+    rows.append(("signature", judge_trust(held.signer, trusted)[1]))
     for key in ("hapticlod", "seed"):
         if key in manifest:
             rows.append((key, str(manifest[key])))

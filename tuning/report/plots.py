@@ -31,7 +31,10 @@ def shade_levels(axes: Axes, time_s: ArrayLike, level: ArrayLike) -> None:
     starts, stops = np.array([0, *edges]), np.array([*edges, len(used)])
     for number in range(1, int(used.max(initial=0)) + 1):
         here = used[starts] == number
-        spans = [(at[first], at[last] - at[first]) for first, last in zip(starts[here], stops[here], strict=True)]
+        spans = [
+            (float(at[first]), float(at[last] - at[first]))
+            for first, last in zip(starts[here], stops[here], strict=True)
+        ]
         shade = LEVEL_SHADES[number]
         axes.broken_barh(
             spans, (0.0, 1.0), transform=axes.get_xaxis_transform(), facecolor=shade, edgecolor="none", zorder=0

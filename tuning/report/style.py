@@ -19,14 +19,14 @@ from hapticlod.files import write_atomic
 # Okabe and Ito 2008: told apart with every kind of colour vision. Lines differ in their dashes too.
 BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE, "#000000", "#7F7F7F")
-DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)), "-", (0, (5, 1.5)), (0, (1.5, 1.2)), "-")
+DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)), (0, (9, 1.5)), (0, (3, 3)), (0, (1, 3)), "-")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 # Levels: light for the finest to dark for the coarsest, in order also in grey.
 LEVEL_SHADES = ("#FFFFFF", "#DCE9F2", "#B5D0E4", "#8DB7D6", "#669EC8", "#4185BA", "#2D6A99", "#1F4C6F")
 
 # Small enough to stand beside each other on a wide page, and alone on a narrow one without shrinking its text.
-WIDTH_IN = 5.6
-_STYLE: dict[str, Any] = {
+WIDTH_IN = 5.0
+_STYLE: Any = {
     "font.size": 9.0, "font.family": "sans-serif", "axes.titlesize": 10.0, "axes.titleweight": "bold",
     "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
     "grid.color": "#D9D9D9", "grid.linewidth": 0.5, "axes.axisbelow": True, "lines.linewidth": 1.1,
