@@ -40,10 +40,13 @@ def device(tmp_path: Path) -> Iterator[VirtualDevice]:
         yield made
 
 
-def started(folder: Path, bundle: Path, *words: object, **options: Any) -> subprocess.Popen[str]:
+def started(
+    folder: Path, bundle: Path, *words: object, ahead: tuple[str, ...] = (), **options: Any
+) -> subprocess.Popen[str]:
+    """A station; `ahead`: a program that becomes the station."""
     command = [str(station_program()), "run", str(bundle), "--device", str(patient_profile(folder)), "--json", *words]
     return subprocess.Popen(
-        [str(word) for word in command], env=shim_environment(folder), text=True,
+        [*ahead, *(str(word) for word in command)], env=shim_environment(folder), text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, **{"stdin": subprocess.DEVNULL, **options},
     )  # fmt: skip
 
@@ -132,20 +135,13 @@ def test_emergency_stop_by_signal_leaves_a_flight_recording(
 
 def test_any_key_is_an_emergency_stop(bundle: Path, device: VirtualDevice, tmp_path: Path) -> None:
     leader, follower = pty.openpty()
-    process = started(tmp_path, bundle, stdin=follower, start_new_session=True, preexec_fn=lambda: _take_terminal(0))
+    process = started(tmp_path, bundle, stdin=follower, ahead=("setsid", "--ctty"))  # the terminal is the station's own
     device.wait("self.enabled")
     os.write(leader, b" ")
     code, said, _ = ended(process)
     os.close(leader)
     os.close(follower)
     assert code == 1 and said["fault"] == "operator_stop"
-
-
-def _take_terminal(descriptor: int) -> None:
-    import fcntl
-    import termios
-
-    fcntl.ioctl(descriptor, termios.TIOCSCTTY, 0)
 
 
 def test_unplugged_in_contact_waits_and_is_armed_again_by_hand(bundle: Path, tmp_path: Path) -> None:
