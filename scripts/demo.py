@@ -67,7 +67,10 @@ def main() -> None:
     say("What happened")
     tuned = json.loads(result.read_text())
     print(tuned["explanation"])
-    print(json.dumps(run)[:0])
+    print(
+        f"The station made {run['ticks']} ticks: loop cost p99.9 {run['loop_cost_p999_us']:.0f} us, "
+        f"{run['deadline_misses']} over the budget of {run['budget_us']:g} us, fault: {run['fault']}."
+    )
 
 
 if __name__ == "__main__":
