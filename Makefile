@@ -16,7 +16,7 @@ PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
 .PHONY: help setup configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-python \
     lint format demo bench bench-quick bench-station soak fuzz station-static \
-    evaluate-surrogate bench-tuners clean
+    evaluate-surrogate bench-tuners optimiser-cases clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -119,6 +119,9 @@ evaluate-surrogate: build  ## predictions against measurements: SCAN=file [MOTIO
 bench-tuners: build  ## our tuner against Optuna TPE, CMA-ES, random search, a grid: SCAN=file [TOOL=file] [EVALUATIONS=400] [SECONDS_EACH=0] [BUDGET=us] [JSON=out.json]
 	@$(BIN)/python -c "import cmaes, optuna" 2>/dev/null || $(BIN)/pip install -q --no-build-isolation -e '.[bench]'
 	@$(BIN)/python -m benchmarks.bench_tuners $(if $(SCAN),--scan="$(SCAN)") $(if $(MOTIONS),--motions="$(MOTIONS)") $(if $(TOOL),--tool="$(TOOL)") $(if $(STATION),--station="$(STATION)") $(if $(BUDGET),--budget-us="$(BUDGET)") $(if $(EVALUATIONS),--evaluations="$(EVALUATIONS)") $(if $(SECONDS_EACH),--seconds="$(SECONDS_EACH)") $(if $(SEED),--seed="$(SEED)") $(if $(UNIT),--unit="$(UNIT)") $(if $(JSON),--json="$(JSON)")
+
+optimiser-cases: build  ## our search against SLSQP with the same gradients, on surrogates: [BUDGETS=4] [STARTS=4] [SCANS="a.ply b.ply"] [JSON=out.json]
+	@$(BIN)/python -m benchmarks.optimiser_cases $(if $(BUDGETS),--budgets="$(BUDGETS)") $(if $(STARTS),--starts="$(STARTS)") $(if $(SCANS),--scans="$(SCANS)") $(if $(JSON),--json="$(JSON)")
 
 clean:  ## remove build products (keeps .venv)
 	@rm -rf build dist hapticlod/_runtime.*

@@ -50,7 +50,7 @@ def load(kind: str, key: str) -> Any | None:
     head = _MAGIC + key.encode() + b"\n"
     if not data.startswith(head):
         return None
-    body, digest = data[len(head) : -16], data[-16:]
+    body, digest = memoryview(data)[len(head) : -16], data[-16:]
     if hashlib.blake2b(body, digest_size=16).digest() != digest:
         return None
     try:
