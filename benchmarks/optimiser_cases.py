@@ -21,6 +21,7 @@ from cyclopts import App
 from rich.console import Console
 from scipy.optimize import minimize
 
+from hapticlod.motion import MODES
 from tuning.cli import run
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 app = App(name="optimiser-cases", help="Our search against SLSQP with the same gradients, on surrogates.")
 DRAWN_PER_START, MOST_STEPS, SEED = 8, 60, 1000
 CLOSE = 1.01
-MOTION_S, MODES = 4.0, ("probe", "scan", "transfer")
+MOTION_S, MADE = 4.0, MODES[:3]
 DENTITIONS = ((6_000, 1), (20_000, 2), (60_000, 3))
 REAL = ("tooth_scan_molaR_10k.ply", "tooth_human_incisor_31k.ply", "dental_ios_upper_100k.ply")
 TOOLS = ("tools/ball_1mm.toml", "tools/explorer.toml")
@@ -158,7 +159,7 @@ def optimiser_cases(
                 scan, mode, seconds=MOTION_S, loop_hz=station.loop_hz, seed=number, tool=tool,
                 stiffness_n_mm=station.stiffness_n_mm, encoder_mm=station.encoder_mm,
             )
-            for number, mode in enumerate(MODES)
+            for number, mode in enumerate(MADE)
         ]  # fmt: skip
         ready = prepare(scan, station, tool, motions)
         search = Search(ready.measured, ready.space, station.budget_us)

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 import tuning.cli
-from hapticlod.config import LodConfig
+from hapticlod.config import Level, LodConfig
 from hapticlod.dentition import make_dentition
 from hapticlod.metrics import measure
 from hapticlod.motion import Motion, load_motion, save_motion, synthesise
@@ -71,7 +71,8 @@ def test_a_verified_front_tells_what_the_runtime_gives(folder: Path, front: dict
     scan, (motion,) = scan_and_motions(folder)
     ladder, apart = build_ladder(scan), motion.part(motion.seconds / 2, motion.seconds)
     config = LodConfig.model_validate(points[-1]["config"])
-    finest = LodConfig(levels=({"triangles": scan.triangles, "cell_mm": 4 * ladder.rungs[0].mean_edge_mm, "balls": 1},))
+    cell_mm = 4 * ladder.rungs[0].mean_edge_mm
+    finest = LodConfig(levels=(Level(triangles=scan.triangles, cell_mm=cell_mm, balls=1),))
     mine, best = (
         replay_levels(
             runtime_levels(c, ladder), c, scan.centre_mm, apart, tool(), station(), 1, cut_short=False

@@ -11,13 +11,13 @@ import os
 import platform
 from collections.abc import Callable
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
 import equinox as eqx
 import jax
-import jaxlib
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
 from tuning import kept
@@ -107,7 +107,7 @@ def _backend() -> tuple[str, ...]:
     """What machine code is made for and by: a home folder may be shared by unlike machines."""
     device = jax.devices()[0]
     client = device.client
-    made_by = jax.__version__, jaxlib.__version__, client.platform, client.platform_version, device.device_kind
+    made_by = jax.__version__, version("jaxlib"), client.platform, client.platform_version, device.device_kind
     return (*made_by, platform.machine(), _cpu_features(), repr(_options()), os.environ.get("XLA_FLAGS", ""))
 
 

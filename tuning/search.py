@@ -31,14 +31,16 @@ DISCONTINUITY_WEIGHT = 1.0
 COST_WEIGHT = 0.01
 # Points looked at per level count, those of them that are searched from, and the ends of these that are gone on with:
 # the best of them after a few soft steps is often not the one that ends best.
-SCREENED, STARTS, HEADS = 24, 4, 3
+SCREENED, STARTS, HEADS = 24, 6, 3
 MARGIN = 0.98  # of the budget that the surrogate may use
 # Switching is sharpened in stages: a soft trigger sees further, a sharp one counts right (PERCEPTION.md section 2).
 SOFT, SHARP = 6.0, 20.0
 SOFT_STEPS, MOST_STEPS = 8, 40
 FOLLOWED = 3  # level counts that are searched again where another budget was searched before
 _FEASIBLE = 1e-3
-_PROMISE = 10.0  # what a start's excess, in ln of its limit, weighs against its objective
+# What a start's excess, in ln of its limit, weighs against its objective, and what it weighs for a third of the starts:
+# where budgets are tight, the best of points that break them are all alike and far from any that does not.
+_PROMISE, _CAREFUL = 2.0, 10.0
 # Ends are searched from again, with a curvature that begins anew, while that gains so much; also with a level more.
 POLISHED, POLISH_ROUNDS, _GAIN = 2, 3, 3e-3
 
@@ -69,7 +71,11 @@ class Found:
     @property
     def promise(self) -> float:
         """Smaller is a better start; not finite comes last."""
-        value = self.objective + _PROMISE * max(self.excess, 0.0)
+        return self.promising(_PROMISE)
+
+    def promising(self, weight: float) -> float:
+        """The promise, the excess weighed so."""
+        value = self.objective + weight * max(self.excess, 0.0)
         return value if np.isfinite(value) else np.inf
 
 
@@ -300,8 +306,10 @@ class Search:
         for look in looks:
             self._know(levels, look)
         order = sorted(range(len(points)), key=lambda i: looks[i].promise)
+        careful = sorted(range(len(points)), key=lambda i: looks[i].promising(_CAREFUL))
         safest = min(order, key=lambda i: max(looks[i].excess, 0.0) if np.isfinite(looks[i].promise) else np.inf)
-        chosen = order[:STARTS]
+        bold = order[: STARTS - STARTS // 3]
+        chosen = [*bold, *[i for i in careful if i not in bold][: STARTS // 3]]
         if safest not in chosen and all(looks[i].excess > 0.0 for i in chosen):
             chosen[-1] = safest
         return [points[i] for i in chosen]
