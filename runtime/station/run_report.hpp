@@ -18,7 +18,7 @@ struct RunReport {
     std::string bundle;
     TrustVerdict trust;
     bool checked_before;  // its large arrays were found right at an earlier start
-    std::string motion;  // where the simulated hand's path came from
+    std::string motion;   // where the simulated hand's path came from
     DeviceTraits device;
     ConfigData config;  // as it was run
     double bundle_stiffness_n_mm;
