@@ -114,7 +114,13 @@ def test_other_inputs_are_other_cells(folder: Path) -> None:
 
 @pytest.fixture
 def environment(folder: Path) -> dict[str, str]:
-    return {**os.environ, "COLUMNS": "80", "HAPTICLOD_CACHE": str(folder / "cache")}
+    """Of a program in which importing JAX fails: comparing needs none of it, in no process."""
+    without = folder / "without_jax"
+    (without / "jax").mkdir(parents=True, exist_ok=True)
+    (without / "jax" / "__init__.py").write_text("raise AssertionError('jax was imported')\n")
+    return {
+        **os.environ, "COLUMNS": "80", "HAPTICLOD_CACHE": str(folder / "cache"), "PYTHONPATH": str(without),
+    }  # fmt: skip
 
 
 def test_kill_9_loses_nothing_and_the_next_run_goes_on(
@@ -145,6 +151,23 @@ def test_kill_9_loses_nothing_and_the_next_run_goes_on(
     expected = {place: feel for place, feel in feels(whole).items() if place[1] != "broken.stl"}
     assert feels(rows) == expected
     assert {path.name for path in folder.iterdir() if "killed" in path.name} == {"killed.db"}
+
+
+def test_ranking_and_exporting_import_no_jax(folder: Path, whole: list[Row], environment: dict[str, str]) -> None:
+    call = [
+        sys.executable,
+        "-m",
+        "tuning.cli",
+        "compare",
+        "-o",
+        str(folder / "whole.db"),
+        "--csv",
+        str(folder / "x.csv"),
+    ]
+    shown = subprocess.run(call, env=environment, capture_output=True, text=True)
+    assert shown.returncode == 3 and "velocity-ours" in shown.stdout and shown.stderr == ""
+    tried = subprocess.run([sys.executable, "-c", "import jax"], env=environment, capture_output=True, text=True)
+    assert "jax was imported" in tried.stderr
 
 
 # What the ledger asks of a cell, without the imports that a real one needs.
