@@ -59,7 +59,7 @@ def figures(*drawn: tuple[Figure, str]) -> str:
 
 def _figure(figure: Figure, text: str) -> str:
     data = base64.b64encode(svg_of(figure).encode()).decode()
-    title = figure.get_suptitle()
+    title = " ".join(figure.get_suptitle().split())
     alt = escape(f"{title}. {text}", quote=True)
     return (
         f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{alt}">'
