@@ -303,6 +303,35 @@ def test_failing_cells_are_named_and_do_not_stop_the_rest(
     assert held[4]["felt_error_jnd"] is None and held[4]["error"] == flat[4]["error"]
 
 
+def test_one_bad_scan_among_fifty(
+    folder: Path, whole: list[Row], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A run of the command over fifty files: 49 that measure as a globe did, and one that is no mesh."""
+    for number in range(49):
+        (tmp_path / f"{number:02}.stl").write_bytes((folder / "a.stl").read_bytes())
+    (tmp_path / "31a.stl").write_bytes(b"junk")
+    done = {row.config: row for row in whole if row.scan == "a.stl"}
+
+    class Remembered(Here):
+        def outcomes(self, tasks: list[Task], *, alone: bool) -> Iterator[tuple[Task, Outcome]]:
+            for task in tasks:
+                row = done[task.cell.config_name]
+                known = Outcome(row.feel if task.stage is Stage.FEEL else row.timing, code=row.code)
+                yield task, perform(task) if task.cell.scan.name == "31a.stl" else known
+
+    monkeypatch.setattr("tuning.commands.compare._executor", lambda scheduler, workers: Remembered())
+    asked = words(tmp_path, "*.stl")
+    asked.remove(str(POLICIES / "velocity_ours.toml"))
+    assert tuning.cli.run(["compare", *asked, "-o", str(tmp_path / "fifty.db")]) == 3
+    shown = capsys.readouterr()
+    (named,) = [line for line in shown.out.splitlines() if line.startswith("31a.stl")]
+    assert named.startswith("31a.stl: fixed-finest with point: ") and "49 of 50 cells on 50 scans" in shown.out
+    assert "49 cells measured, 0 were done before, 1 failed" in shown.err
+    assert [line.split()[1:3] for line in shown.out.splitlines() if line.startswith("fixed-finest")] == [
+        ["1.00", "49/49"]
+    ]
+
+
 def refused(capsys: pytest.CaptureFixture[str], *asked: object) -> str:
     status = tuning.cli.run(["compare", *map(str, asked)])
     shown = capsys.readouterr()
