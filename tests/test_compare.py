@@ -25,6 +25,7 @@ from tuning.compare.batch import run_batch
 from tuning.compare.ledger import APPLICATION_ID, Ledger, Row
 from tuning.compare.local import LocalWorkers
 from tuning.compare.measuring import COST_KEYS, bin_edges_us
+from tuning.compare.plan import plan_cells
 from tuning.compare.ranking import failures, ranks, standings
 from tuning.compare.task import Outcome, Stage, Task, perform
 
@@ -100,8 +101,6 @@ def test_other_inputs_are_other_cells(folder: Path) -> None:
         "scans": [str(folder / "a.stl")], "configs": [str(POLICIES / "fixed_finest.toml")],
         "tools": [str(TOOLS / "point.toml")], "stations": [str(STATIONS / "desktop_1khz.toml")], "motions": ["trace"],
     }  # fmt: skip
-    from tuning.compare.plan import plan_cells
-
     changes = (
         {"scans": [str(folder / "b.stl")]}, {"configs": [str(POLICIES / "fixed_coarse.toml")]},
         {"tools": [str(TOOLS / "ball_1mm.toml")]}, {"stations": [str(STATIONS / "desktop_4khz.toml")]},
@@ -251,6 +250,27 @@ def test_a_worker_that_dies_costs_a_second_try(folder: Path, whole: list[Row]) -
         ((_, outcome),) = LocalWorkers(2).outcomes(tasks[:1], alone=False)
     assert outcome.result is None and outcome.error == "the worker was ended by signal 9, 2 times"
     assert multiprocessing.active_children() == []
+
+
+def test_what_is_counted_needs_no_core_of_its_own_and_comes_out_the_same(folder: Path) -> None:
+    class Watched(Here):
+        def outcomes(self, tasks: list[Task], *, alone: bool) -> Iterator[tuple[Task, Outcome]]:
+            asked.extend((task.cell.station.name, alone) for task in tasks if task.stage is Stage.TIME)
+            return super().outcomes(tasks, alone=alone)
+
+    stations = [str(STATIONS / name) for name in ("paper_2009.toml", "desktop_1khz.toml")]
+    scan, config, tool = folder / "a.stl", POLICIES / "velocity_ours.toml", TOOLS / "point.toml"
+    made = plan_cells([str(scan)], [str(config)], [str(tool)], stations, ["trace"], seconds=1.0)
+    told = []
+    for name in ("first.db", "second.db"):
+        asked: list[tuple[str, bool]] = []
+        with Ledger(folder / name) as ledger:
+            assert run_batch(made, ledger, Watched()).measured == 2
+            (row,) = [row for row in ledger.rows() if row.station == "paper-2009"]
+        assert asked == [("paper-2009", False), ("desktop-1khz", True)]
+        assert row.timing is not None and row.timing["core"] is None and row.timing["basis"].startswith("counted")
+        told.append((row.timing["metrics"], row.timing["histograms"]))
+    assert told[0] == told[1]
 
 
 def test_what_other_code_measured_is_not_kept(folder: Path) -> None:

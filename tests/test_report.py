@@ -220,6 +220,7 @@ def test_bad_input(
     monkeypatch.chdir(folder)
     Path("notes.txt").write_text("mine " * 100)
     for name, version in (("empty.db", 1), ("newer.db", 99)):
+        Path(name).unlink(missing_ok=True)
         Ledger(Path(name)).close()
         with contextlib.closing(sqlite3.connect(name)) as base:
             base.execute(f"PRAGMA user_version = {version}")

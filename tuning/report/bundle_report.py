@@ -199,12 +199,12 @@ def _golden(held: Bundle, record: Record) -> str:
         drawn.append((plots.jumps_at_switches(record, reference), text))
     return figures(
         (
-            plots.cost_distribution(costs, record.budget_us),
-            "How large a share of ticks takes longer than the time below; the upright line is the budget.",
-        ),
-        (
             plots.force_and_speed(record, reference, thresholds_mm_s=list(thresholds)),
             "Rendered force beside the finest level's, the hand's speed with the thresholds, and the level in use.",
+        ),
+        (
+            plots.cost_distribution(costs, record.budget_us),
+            "How large a share of ticks takes longer than the time below; the upright line is the budget.",
         ),
         *drawn,
     )

@@ -140,7 +140,7 @@ def _budget_line(axes: Axes, at: float, text: str) -> None:
     axes.axvline(at, color="black", lw=1.4)
     axes.annotate(
         text, (at, 0.97), xycoords=("data", "axes fraction"), xytext=(-3, 0), textcoords="offset points",
-        rotation=90, va="top", ha="right", fontsize=8,
+        rotation=90, va="top", ha="right", fontsize=8, bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
     )  # fmt: skip
 
 
@@ -184,7 +184,8 @@ def predicted_and_measured(
     axes.axvline(1.0, color="black", lw=0.9)
     for i, (_, said, was) in enumerate(shown):
         axes.plot(said / was, i, "o", color=BLUE)
-        axes.annotate(f"{said:.3g} / {was:.3g}", (1.01, i), xycoords=("axes fraction", "data"), va="center", fontsize=8)
+        text = f"{_three_digits(said)} / {_three_digits(was)}"
+        axes.annotate(text, (1.01, i), xycoords=("axes fraction", "data"), va="center", fontsize=8)
     axes.set_yticks(range(len(shown)), [_RATIO_METRICS[key] for key, _, _ in shown])
     axes.set_ylim(max(len(shown), 1) - 0.5, -0.5)
     axes.set_xscale("log")
@@ -195,6 +196,10 @@ def predicted_and_measured(
     if not shown:
         axes.text(0.5, 0.5, "nothing to compare", transform=axes.transAxes, ha="center")
     return figure
+
+
+def _three_digits(value: float) -> str:
+    return np.format_float_positional(value, precision=3, fractional=False, trim="-")
 
 
 _RATIO_METRICS = {
