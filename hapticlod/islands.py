@@ -77,10 +77,13 @@ def drop_islands(islands: Islands, faces: np.ndarray, target: int, collapses: Co
         faces: (m, 3) of the mesh. target: triangles of the coarsest rung.
     """
     going = np.argsort(-islands.fewest, kind="stable")
-    going = going[islands.fewest[going] > max(target, 0)]
-    fewest = islands.fewest[going]
     parent, step, death = collapses.parent.copy(), collapses.step, collapses.death
     last = len(collapses.kept)
+    # The simplifier may have left nothing of the largest part: then the largest that it left something of stays.
+    in_the_end = np.bincount(islands.of_face[death > last], minlength=len(islands.fewest))
+    largest = int(np.where(in_the_end > 0, islands.fewest, np.inf).argmin())
+    going = going[(islands.fewest[going] > target) & (going != largest)]
+    fewest = islands.fewest[going]
     # Each goes after so many collapses: the first number that leaves fewer triangles than it needs.
     after = np.full(len(islands.fewest), last + 1)
     for _ in range(_ROUNDS):
@@ -92,7 +95,7 @@ def drop_islands(islands: Islands, faces: np.ndarray, target: int, collapses: Co
             break
         after[going] = np.minimum(due, after[going])
     # Those that never come due leave in the end, as long as there are too many triangles.
-    still = np.bincount(islands.of_face[death > last], minlength=len(after))[going] * (after[going] > last)
+    still = in_the_end[going] * (after[going] > last)
     too_many = int(left[-1]) - target
     go = (after[going] <= last) | ((still > 0) & (np.cumsum(still) - still < too_many))
     going = going[go]

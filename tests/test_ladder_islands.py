@@ -91,3 +91,15 @@ def test_the_largest_part_stays_whatever_is_asked() -> None:
     coarsest = ladder.at(1)
     assert coarsest.triangles >= 4
     assert np.linalg.norm(np.ptp(coarsest.vertices[coarsest.faces].reshape(-1, 3), axis=0)) > 15
+
+
+def test_a_largest_part_that_collapses_entirely_leaves_the_next_one() -> None:
+    """A needle of one triangle, longer than all else, which simplification takes first."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=3.0)
+    needle = np.array([[0, 0, 50.0], [0.001, 0, 250.0], [0, 0.5, 150.0]])
+    scan = scan_from_arrays(
+        np.concatenate((ball.vertices, needle)), np.concatenate((ball.faces, [[162, 163, 164]])), "needle"
+    )
+    ladder = build_ladder(scan, rungs=4, coarsest_ratio=40)
+    for rung in ladder.rungs:
+        assert rung.triangles >= 4 and rung.components >= 1
