@@ -102,7 +102,7 @@ def test_another_budget_replays_only_what_it_must(folder: Path, front: dict, mon
     budgets = 1.3 * cheapest, 3.0 * cheapest
 
     def tuned(budget_us: float) -> dict:
-        told = document(tune(scan, station(budget_us), tool(), motions, levels=LEVELS))
+        told = document(tune(scan, station(budget_us), tool(), motions, levels=LEVELS), scan)
         del told["stages_s"], told["clock"]  # times
         return told
 

@@ -20,15 +20,12 @@ from hapticlod.surrogate.surrogate import memory_mb, predict_members
 from tuning import kept
 from tuning.compile_cache import compiled
 from tuning.known import Known, KnownPoints
+from tuning.objective import COST_WEIGHT, disturbance, objective
 from tuning.optimise import SequentialQuadratic
 from tuning.population import POOLED, over_motions
 from tuning.sample import threads
 from tuning.space import Space, decode
 
-# One noticed jump per second weighs as much as one JND of felt error. Needs people; a preset of the preference.
-DISCONTINUITY_WEIGHT = 1.0
-# Ties go to less work: a hundredth of a JND for a budget's worth of mean cost.
-COST_WEIGHT = 0.01
 # Points looked at per level count, those of them that are searched from, and the ends of these that are gone on with:
 # the best of them after a few soft steps is often not the one that ends best.
 SCREENED, STARTS, HEADS = 24, 6, 3
@@ -99,19 +96,6 @@ class Problem(eqx.Module):
     row_limits: Float[Array, " p"]
     over: str = eqx.field(static=True)
     motions: int = eqx.field(static=True)
-
-
-def objective(metrics: Any, budget_us: Any) -> Any:
-    """What is minimised: felt error plus noticed jumps, and a trace of cost to settle ties."""
-    return (
-        disturbance(metrics["felt_error_jnd"], metrics["discontinuity_per_s"])
-        + COST_WEIGHT * metrics["loop_cost_mean_us"] / budget_us
-    )
-
-
-def disturbance(felt_error_jnd: Any, discontinuity_per_s: Any) -> Any:
-    """What is felt of a configuration: the objective without its trace of cost."""
-    return felt_error_jnd + DISCONTINUITY_WEIGHT * discontinuity_per_s
 
 
 def _metrics(
