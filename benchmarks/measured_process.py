@@ -57,7 +57,8 @@ def run_measured(command: Sequence[str], limit_s: float, environment: Mapping[st
         wall_s = time.monotonic() - begun
         child.returncode = os.waitstatus_to_exitcode(ended[1])  # waited for: Popen need not
         used = ended[2]
-        out.seek(0), err.seek(0)
+        out.seek(0)
+        err.seek(0)
         return Taken(
             status=None if late else child.returncode,
             wall_s=wall_s,
