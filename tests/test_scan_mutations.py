@@ -25,7 +25,7 @@ from hapticlod.scan import Scan, load_scan
 from hapticlod.tool import ball
 from hapticlod.topology import edge_table
 
-CASES = int(os.environ.get("HAPTICLOD_MUTATIONS", "8"))
+CASES = int(os.environ.get("HAPTICLOD_MUTATIONS", "6"))
 TRIANGLES = 220
 RADIUS_MM = 0.2
 
