@@ -42,9 +42,13 @@ def whole(data_dir_or_none: Path | None) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 @pytest.mark.parametrize("seed", range(CASES))
-def test_mutated_crops_are_loaded_truthfully(seed: int, whole: list, tmp_path: Path) -> None:
+def test_mutated_crops_are_loaded_truthfully(
+    seed: int, whole: list[tuple[np.ndarray, np.ndarray]], tmp_path: Path
+) -> None:
     rng = np.random.default_rng([7, seed])
-    vertices, faces, faults = mutated(rng, *crop(rng, *whole[seed % len(whole)], TRIANGLES))
+    vertices, faces = whole[seed % len(whole)]
+    vertices, faces = crop(rng, vertices, faces, TRIANGLES)
+    vertices, faces, faults = mutated(rng, vertices, faces)
     path = tmp_path / f"scan.{'ply' if rng.random() < 0.5 else 'stl'}"
     vertices, faces = written(path, vertices, faces)
     try:
