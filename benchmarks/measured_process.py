@@ -17,7 +17,8 @@ class Taken:
 
     Attributes:
         status: exit status; negative: the signal that ended it; None: it was stopped after `limit_s`.
-        wall_s, processor_s: seconds. peak_mb: greatest resident memory of the process, 10^6 bytes.
+        wall_s, processor_s: seconds. peak_mb: greatest resident memory of the process, 10^6 bytes; Linux counts from
+            the fork on, so it is never less than what the caller held then.
         out, err: what it printed.
     """
 
