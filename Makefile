@@ -14,8 +14,8 @@ CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl' 'examples/*.c')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
-.PHONY: help setup tools configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-python \
-    lint format demo bench bench-quick bench-station bench-open soak fuzz station-static \
+.PHONY: help setup tools configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-usb-vm test-circle \
+    test-python lint format demo bench bench-quick bench-station bench-open soak fuzz station-static \
     evaluate-surrogate bench-tuners clean
 
 help:  ## this list
@@ -76,7 +76,13 @@ test-threads: setup  ## loop, writer, telemetry under ThreadSanitizer
 	@for test in $(THREADED); do build/threads/tests/$$test --gtest_brief=1 || exit 1; done
 
 test-hidraw-vm: build  ## the station against a real kernel's hidraw in QEMU; skipped with one line where it cannot be had
-	@scripts/test_hidraw_vm || [ $$? = 77 ]
+	@scripts/test_device_vm uhid || [ $$? = 77 ]
+
+test-usb-vm: build  ## the same on USB (vhci_hcd: usbhid, its endpoints, SET_REPORT, replug); downloads a kernel of 70 MB
+	@scripts/test_device_vm usb || [ $$? = 77 ]
+
+test-circle: build  ## a hand recorded on the simulated device, a whole tuning for it, and its run: a minute
+	@HAPTICLOD_WHOLE=1 $(BIN)/python -m pytest -q tests/test_recording_circle.py
 
 test-python: build  ## Python tests
 	@$(BIN)/python -m pytest -q -n auto --dist worksteal

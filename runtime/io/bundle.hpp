@@ -33,6 +33,7 @@ public:
 
     [[nodiscard]] const std::string& path() const { return path_; }
     [[nodiscard]] std::size_t file_bytes() const { return bytes_.size(); }
+    [[nodiscard]] std::span<const std::byte> bytes() const { return bytes_; }  // the whole file
     [[nodiscard]] std::span<const Section> sections() const { return sections_; }
     // Who signed it, proved; nobody where it is unsigned or signed in a way that this program does not know.
     [[nodiscard]] const std::optional<PublicKey>& signer() const { return signer_; }

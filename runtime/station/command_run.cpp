@@ -1,4 +1,5 @@
 // run: the real-time loop against a device.
+#include <poll.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -79,12 +80,17 @@ bool wait_for_device(DeviceChoice& choice, const HidEntry& was, const Bundle& bu
     return false;
 }
 
-// The operator's word that the device may be armed again.
+// The operator's word that the device may be armed again. What was typed before it was asked for does not count.
 bool confirmed(const std::atomic<bool>& stop) {
-    std::fprintf(stderr, "clear the device, then press Enter to arm it again (Ctrl-C ends)\n");
     char key = 0;
+    for (pollfd input{STDIN_FILENO, POLLIN, 0}; ::poll(&input, 1, 0) > 0;) {
+        if (::read(STDIN_FILENO, &key, 1) != 1) break;
+    }
+    std::fprintf(stderr, "clear the device, then press Enter to arm it again (Ctrl-C ends)\n");
     while (!stop.load()) {
-        if (::read(STDIN_FILENO, &key, 1) != 1) return false;
+        const ssize_t got = ::read(STDIN_FILENO, &key, 1);
+        if (got == 0) std::fprintf(stderr, "standard input has ended: nobody can arm the device\n");
+        if (got != 1) return false;
         if (key == '\n') return true;
     }
     return false;

@@ -80,15 +80,15 @@ std::string bytes_of(std::span<const T> values) {
     return {reinterpret_cast<const char*>(values.data()), values.size_bytes()};
 }
 
-// A plate of 10 x 10 mm around the origin, z = 0, facing up, `cells` x `cells` squares of two triangles.
-inline LevelStorage plate(unsigned cells, double cell_mm) {
+// A plate of 10 x 10 mm around the origin, facing up, `cells` x `cells` squares of two triangles.
+inline LevelStorage plate(unsigned cells, double cell_mm, float z_mm = 0.0f) {
     std::vector<float> vertices;
     std::vector<std::uint32_t> faces;
     for (unsigned j = 0; j <= cells; ++j) {
         for (unsigned i = 0; i <= cells; ++i) {
             const float side = 10.0f / static_cast<float>(cells);
             vertices.insert(vertices.end(),
-                            {side * static_cast<float>(i) - 5.0f, side * static_cast<float>(j) - 5.0f, 0.0f});
+                            {side * static_cast<float>(i) - 5.0f, side * static_cast<float>(j) - 5.0f, z_mm});
         }
     }
     for (unsigned j = 0; j < cells; ++j) {
