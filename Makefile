@@ -14,8 +14,8 @@ CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl' 'examples/*.c')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
-.PHONY: help setup configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-usb-vm test-circle test-python \
-    lint format demo bench bench-quick bench-station soak fuzz station-static \
+.PHONY: help setup tools configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-usb-vm \
+    test-circle test-python lint format demo bench bench-quick bench-station soak fuzz station-static \
     evaluate-surrogate bench-tuners clean
 
 help:  ## this list
@@ -23,6 +23,9 @@ help:  ## this list
 
 setup:  ## system packages (as root or with sudo), .venv, Python packages
 	@scripts/bootstrap
+
+tools:  # enough to compile
+	@scripts/bootstrap tools
 
 configure: setup
 	@mkdir -p build
@@ -46,15 +49,15 @@ station-static: setup  ## one hapticlod-station without run-time dependencies: m
 product: configure  ## the station and the Python module alone
 	@cmake --build $(RELEASE) --target hapticlod-station _runtime _runtime_stub
 
-# Checking types keeps one core busy: the sanitized build has the other meanwhile.
-test: setup  ## everything CI runs
+# Fetching packages and checking types keep one core busy: the sanitized build has the other meanwhile.
+test: tools  ## everything CI runs
 	@$(MAKE) --no-print-directory --output-sync=target -j 2 lint test-sanitized-build
 	@$(MAKE) --no-print-directory test-cpp test-sanitized test-python
 
 test-cpp: build  ## C++ tests, release build
 	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error -j 2
 
-test-sanitized-build: setup
+test-sanitized-build: tools
 	@mkdir -p build
 	@cmake -S . -B $(SANITIZED) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
 	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) \

@@ -3,6 +3,7 @@
 // The paper's LODNode (Zhou et al. 2009, section 2.1) carries the same six things: mesh, mesh-voxel relation,
 // vertex normals, face normals (computed from the mesh), vertex adjacency (faces around), face adjacency.
 #pragma once
+#include <bit>
 #include <cstdint>
 #include <span>
 #include <string>
@@ -43,6 +44,12 @@ inline const Brick* find_brick(const LevelView& level, std::int32_t x, std::int3
         const Brick& brick = level.bricks[entry - 1];
         if (brick.x == x && brick.y == y && brick.z == z) return &brick;
     }
+}
+
+// Where the cell of this bit is in LevelView::cells: the brick's cells follow each other in the order of their bits.
+inline std::uint32_t cell_of(const Brick& brick, int bit) {
+    const std::uint64_t below = brick.mask & ((std::uint64_t{1} << bit) - 1);
+    return brick.first_cell + static_cast<std::uint32_t>(std::popcount(below));
 }
 
 // Owns a level built from a mesh. Building allocates; nothing after it does.

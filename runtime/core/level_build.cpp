@@ -294,8 +294,7 @@ std::string LevelStorage::build(std::span<const float> vertices, std::span<const
     std::vector<std::uint32_t> count(cell_count, 0);
     for (Entry& e : entries) {
         const Brick& b = bricks_[rank[e.cell / kBrickCells]];
-        const std::uint64_t below = b.mask & ((std::uint64_t{1} << (e.cell % kBrickCells)) - 1);
-        e.cell = b.first_cell + static_cast<std::uint32_t>(std::popcount(below));
+        e.cell = cell_of(b, static_cast<int>(e.cell % kBrickCells));
         ++count[e.cell];
     }
     cells_.assign(cell_count + 1, 0);
