@@ -14,8 +14,8 @@ CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl' 'examples/*.c')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
-.PHONY: help setup tools configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-usb-vm \
-    test-circle test-python lint format demo bench bench-quick bench-station soak fuzz station-static \
+.PHONY: help setup tools configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-usb-vm test-circle \
+    test-python lint format demo bench bench-quick bench-station bench-open soak fuzz station-static \
     evaluate-surrogate bench-tuners clean
 
 help:  ## this list
@@ -109,11 +109,14 @@ bench-quick: build  ## the same on 100 k triangles
 bench-station: product  ## wake-ups and computing of the loop apart, on the demo's bundle or BUNDLE=file [SECONDS_EACH=20]
 	@$(BIN)/python -m benchmarks.bench_station $(if $(BUNDLE),--bundle="$(BUNDLE)") $(if $(SECONDS_EACH),--seconds="$(SECONDS_EACH)")
 
+bench-open: build  ## from opening 2.6 M triangles, or BUNDLE=file, to the first tick: cold, warm, known
+	@$(BIN)/python -m benchmarks.bench_open $(if $(BUNDLE),--bundle="$(BUNDLE)")
+
 TICKS ?= 100000000
 RUNS ?= 1e7
-fuzz: test-sanitized-build  ## 10^7 mutated bundles, motions and key files under sanitizers: hours; make fuzz RUNS=1e6
+fuzz: test-sanitized-build  ## 10^7 mutated bundles, motions, key files and profiles under sanitizers: hours; make fuzz RUNS=1e6
 	@command -v clang++ >/dev/null || { echo "make fuzz needs libFuzzer: apt-get install clang"; exit 1; }
-	@for target in bundle motion trusted_keys; do \
+	@for target in bundle motion trusted_keys device_profile; do \
 	    mkdir -p build/fuzz/$$target; \
 	    $(SANITIZED)/fuzz/$${target}_fuzz -runs=$$(printf %.0f $(RUNS)) -timeout=60 -max_len=16384 -print_final_stats=1 \
 	        -artifact_prefix=build/fuzz/$$target- build/fuzz/$$target runtime/fuzz/corpus/$$target || exit 1; \

@@ -145,8 +145,7 @@ def _compared(
 
 def _again(best: Sequence[tuple[Any, float]], verifier: Any, station: Any) -> dict[str, Any]:
     """The first of the best that holds its limits when it is measured again."""
-    from tuning.search import objective
-    from tuning.tune import holds
+    from tuning.objective import holds, objective
 
     for config, _ in best[:AGAIN]:
         metrics = verifier.measured(config)

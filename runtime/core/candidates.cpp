@@ -29,7 +29,7 @@ void Candidates::allocate(const ToolTree& tree, std::size_t balls) {
     last_pairs_.resize(kMaxBlocks);
     keys_.resize(kMaxBlocks);
     last_keys_.resize(kMaxBlocks);
-    listed_bounds_.resize(kMaxBlocks + ActiveLevel::kBoundsBeyond);
+    listed_bounds_.resize(kMaxBlocks + 7);  // kernels read eight at a time
     evaluations_.resize(kMaxBlocks);
     free_.resize(kMaxBlocks);
     table_.assign(kTable, {});

@@ -100,10 +100,11 @@ bool confirmed(const std::atomic<bool>& stop) {
 
 int command_run(Words words) {
     const auto parsed = Arguments::parse(
-        words, {{"BUNDLE"},
-                {"--device", "--path", "--serial", "--centre-mm", "--seconds", "--motion", "--cpu", "--record",
-                 "--flight", "--passivity-damping", "--trusted-keys"},
-                {"--json", "--virtual-time", "--accept-no-watchdog", "--reconnect", "--accept-unsigned"}});
+        words,
+        {{"BUNDLE"},
+         {"--device", "--path", "--serial", "--centre-mm", "--seconds", "--motion", "--cpu", "--record", "--flight",
+          "--passivity-damping", "--trusted-keys"},
+         {"--json", "--virtual-time", "--accept-no-watchdog", "--reconnect", "--accept-unsigned", "--check-all"}});
     if (!parsed) return refuse(parsed.fault());
     const Arguments& arguments = parsed.value();
     const auto seconds = arguments.number("--seconds", 0.0, 1e-3, 1e7);
@@ -116,7 +117,8 @@ int command_run(Words words) {
     if (virtual_time && seconds.value() == 0.0) {
         return refuse({"--virtual-time", "would never end", "give --seconds too"});
     }
-    const auto bundle_opened = Bundle::open(arguments.positional(0));
+    CheckedFiles known(arguments.flag("--check-all") ? std::string{} : CheckedFiles::standard_path());
+    const auto bundle_opened = Bundle::open(arguments.positional(0), known);
     if (!bundle_opened) return refuse(bundle_opened.fault());
     const Bundle& bundle = bundle_opened.value();
     const auto trust = require_trust(bundle, arguments);
@@ -194,6 +196,7 @@ int command_run(Words words) {
 
     const RunReport report{bundle.path(),
                            trust.value(),
+                           bundle.checked_before(),
                            arguments.option("--motion").value_or(choice.profile.simulated ? "golden motion" : "hand"),
                            traits,
                            config,
