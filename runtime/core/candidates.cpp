@@ -226,14 +226,18 @@ bool Candidates::gather_one(std::uint32_t place, double reach, TickCounters& cou
     const auto look = [&] {
         float low[kChunk];
         kernels_->near_one(near_by, waiting, at, static_cast<float>(ball.kept), low);
+        // Chance decides which are near: no branch.
+        std::uint32_t chosen[kChunk], near = 0;
         for (std::uint32_t b = 0; b < waiting; ++b) {
-            if (low[b] > within) {
-                least = std::min(least, low[b]);
-                continue;
-            }
+            const bool is_near = low[b] <= within;
+            chosen[near] = b;
+            near += is_near ? 1u : 0u;
+            least = std::min(least, is_near ? least : low[b]);
+        }
+        for (std::uint32_t k = 0; k < near; ++k) {
             if (block_count_ == kMaxBlocks) return complete = false;
-            listed_bounds_[block_count_] = near_by[b];
-            list(block[b], 0, double{low[b]});
+            listed_bounds_[block_count_] = near_by[chosen[k]];
+            list(block[chosen[k]], 0, double{low[chosen[k]]});
         }
         waiting = 0;
         return true;

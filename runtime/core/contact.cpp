@@ -413,6 +413,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         const Triangle t = triangle_of(out.planes[i], balls[out.planes[i].ball]);
         out.planes[i].point = closest_on_triangle(local_, t).point + balls[out.planes[i].ball].offset + centre;
         out.multiplier[i] = final.multiplier[i];
+        out.behind[i] = dot(cross(t.b - t.a, t.c - t.a), out.planes[i].normal) < 0.0;
     }
     touched_ = final.active > 0;
     if (touched_) last_touch_ = out.planes[0];

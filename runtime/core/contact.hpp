@@ -52,6 +52,7 @@ struct Contact {
     int active = 0;  // constraints, 0..3
     ContactPlane planes[3];
     double multiplier[3] = {};  // scp = hip + sum multiplier_k planes[k].normal
+    bool behind[3] = {};        // the ball is where the triangle's winding says inside
     bool converged = true;
     bool between = false;  // cut short on the way from one contact to the next: planes[0] is made up
 };

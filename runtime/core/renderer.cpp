@@ -357,7 +357,7 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, const Vec3&
     memory.normal = depth > 0.0 ? d * (1.0 / depth) : p.normal;
     memory.point = p.point;
     memory.ball = p.ball;
-    memory.side = dot(face_normal(levels[level].view, p.triangle), p.normal) < 0.0 ? -1.0 : 1.0;
+    memory.side = contact.behind[strongest] ? -1.0 : 1.0;
 }
 
 // The part of the force that the faces give, turned from their normals to the interpolated ones. Friction is left

@@ -162,10 +162,14 @@ bool ContactSolver::find_sole_plane(std::span<const SolverBall> balls, const Vec
     const float normal[3] = {static_cast<float>(n.x), static_cast<float>(n.y), static_cast<float>(n.z)};
     alignas(32) std::array<float, kMostBlocks> high;
     kernels_->highest(candidates_.listed_bounds(), count, foot.shift, normal, high.data());
-    const std::uint32_t around = select(low.data(), count, static_cast<float>(radius), chosen.data());
+    std::uint32_t around = 0;
+    for (std::uint32_t i = 0; i < count; ++i) {
+        chosen[around] = static_cast<std::uint16_t>(i);
+        around += (low[i] <= static_cast<float>(radius)) & (high[i] > margin) ? 1u : 0u;
+    }
+    for (std::uint32_t k = 0; k < around; ++k) candidates_.fetch(chosen[k]);
     for (std::uint32_t k = 0; k < around; ++k) {
         const std::uint32_t i = chosen[k];
-        if (high[i] <= margin) continue;
         ++counters.tests;
         std::uint32_t bits = kernels_->above(candidates_.triangles(i), foot.shift, foot.residual, normal, margin);
         if (bits == 0) continue;

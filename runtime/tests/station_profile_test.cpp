@@ -18,6 +18,11 @@ namespace hapticlod::station {
 namespace {
 
 constexpr const char* kShipped = HAPTICLOD_REPOSITORY "/configs/devices/";
+std::string shipped(const char* name) {
+    std::string path = kShipped;
+    path += name;
+    return path;
+}
 
 TEST(Profile, ShippedOnesAreRead) {
     int count = 0;
@@ -31,7 +36,7 @@ TEST(Profile, ShippedOnesAreRead) {
 }
 
 TEST(Profile, SimulatorFileIsTheBuiltInSimulator) {
-    const auto profile = read_device_profile(std::string(kShipped) + "simulator.toml");
+    const auto profile = read_device_profile(shipped("simulator.toml"));
     ASSERT_TRUE(profile && profile.value().simulated);
     const SimulatedBody &file = *profile.value().simulated, built_in{};
     EXPECT_EQ(std::memcmp(&file, &built_in, sizeof(SimulatedBody)), 0);
@@ -81,11 +86,11 @@ TEST(Toml, WhatIsNoUtf8IsRefusedWithItsPlace) {
 }
 
 TEST(Profile, StiffnessNeedsDampingOrAStatement) {
-    const auto native = read_device_profile(std::string(kShipped) + "native.toml");
+    const auto native = read_device_profile(shipped("native.toml"));
     ASSERT_TRUE(native);
     // b / (T/2 + t_d)
     EXPECT_NEAR(native.value().stability_limit_n_mm(0.0, 1e-3), 0.002 / 1.5e-3, 1e-12);
-    const auto wooden = read_device_profile(std::string(kShipped) + "woodenhaptics_8.toml");
+    const auto wooden = read_device_profile(shipped("woodenhaptics_8.toml"));
     ASSERT_TRUE(wooden);
     EXPECT_EQ(wooden.value().stability_limit_n_mm(0.0, 1e-3), 1.0);  // as stated
 }
@@ -142,7 +147,7 @@ TEST(ReportLayout, ClampsToItsTypeAndRefusesWhatIsNotFinite) {
 }
 
 SerialPantograph wooden() {
-    const auto profile = read_device_profile(std::string(kShipped) + "woodenhaptics_8.toml");
+    const auto profile = read_device_profile(shipped("woodenhaptics_8.toml"));
     return std::get<SerialPantograph>(profile.value().kinematics.form);
 }
 
