@@ -28,9 +28,9 @@ TRIANGLES = 100_000
 RATES_HZ = (1000.0, 4000.0)
 
 
-def make_bundle(path: Path, loop_hz: float) -> None:
+def make_bundle(path: Path, loop_hz: float, triangles: int = TRIANGLES) -> None:
     """One level of a generated dentition, touched by a ball of 1 mm."""
-    scan = make_dentition(TRIANGLES, 0)
+    scan = make_dentition(triangles, 0)
     station = load_station(shipped_config("stations/desktop_1khz.toml")).adjusted(loop_hz=loop_hz)
     tool = load_tool(shipped_config("tools/ball_1mm.toml"))
     corners = scan.vertices[scan.faces]

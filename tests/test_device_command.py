@@ -1,6 +1,8 @@
 """`hapticlod devices` and `hapticlod-station devices` through the real hidapi, behind the shim."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +12,7 @@ import pytest
 from plate_bundle import station_program
 from virtual_hid import VirtualDevice, patient_profile, shim_environment
 
+import tuning.cli
 from hapticlod.motion import load_motion
 
 
@@ -64,6 +67,48 @@ def test_a_hand_is_recorded_without_forces(tmp_path: Path) -> None:
     (motion,) = load_motion(tmp_path / "hand.csv", 1000.0)
     assert np.allclose(motion.position_mm, [1.0, 2.0, 3.5])
     assert 0.2 < motion.time_s[-1] < 30.0
+
+
+def test_a_recording_that_could_not_be_kept_is_refused_before_the_hand_moves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words, expected in (
+        (["--seconds", "0"], "--seconds: is 0; give a length above 0"),
+        (["--seconds", "-3"], "--seconds: is -3; give a length above 0"),
+        (["--seconds", "nan"], "--seconds: is nan; give a length above 0"),
+    ):
+        assert tuning.cli.run(["devices", "--record", str(tmp_path / "hand.csv"), *words]) == 2
+        assert expected in capsys.readouterr().err
+    with VirtualDevice(tmp_path):
+        command = [sys.executable, "-m", "tuning.cli", "devices", "--profile", str(patient_profile(tmp_path))]
+        result = subprocess.run(
+            [*command, "--record", str(tmp_path / "no" / "hand.csv"), "--seconds", "1000"], check=False, text=True,
+            env=shim_environment(tmp_path), capture_output=True, timeout=60,
+            cwd=Path(__file__).resolve().parent.parent,
+        )  # fmt: skip
+    assert result.returncode == 2
+    assert "hand.csv: lies in a folder that is not there" in result.stderr
+
+
+def test_watching_ends_with_ctrl_c(tmp_path: Path) -> None:
+    with VirtualDevice(tmp_path) as device:
+        device.position_mm = (1.0, 2.0, 3.5)
+        command = [sys.executable, "-m", "tuning.cli", "devices", "--profile", str(patient_profile(tmp_path))]
+        # A background job of a shell ignores Ctrl-C, and so would its children.
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            watching = subprocess.Popen(
+                [*command, "--watch"], env=shim_environment(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                cwd=Path(__file__).resolve().parent.parent,
+            )  # fmt: skip
+        finally:
+            signal.signal(signal.SIGINT, before)
+        assert watching.stdout is not None
+        seen = os.read(watching.stdout.fileno(), 65536)
+        watching.send_signal(signal.SIGINT)
+        rest, err = watching.communicate(timeout=60)
+    assert (watching.returncode, err) == (0, b"")
+    assert b"1.000     2.000     3.500 mm" in seen and rest.endswith(b"\n")
 
 
 @pytest.mark.parametrize(("errno", "expected"), [("13", "cannot be opened; install the udev rule"), ("", "went away")])

@@ -57,6 +57,7 @@ def test_shipped_profiles_are_read_by_both() -> None:
     for path, _ in profiles:
         result = run_station("devices", "--profile", path)
         assert result.returncode == 0, result.stderr
+        assert f"{path}: no fault in this profile (" in result.stdout
 
 
 @pytest.mark.parametrize(("text", "old", "new", "field"), WRONG, ids=[case[3] + "=" + case[2][:12] for case in WRONG])

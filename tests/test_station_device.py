@@ -97,6 +97,29 @@ def test_forces_reach_the_device_and_everything_is_recorded(
     assert motion.position_mm[-1] == pytest.approx([0.3, 0.0, 20.0 + PRESS[2]], abs=1e-5)
 
 
+def test_watching_cannot_disturb_the_loop(bundle: Path, device: VirtualDevice, tmp_path: Path) -> None:
+    """`status` maps the loop's memory read-only, so freezing or killing it in the middle is nothing to the loop."""
+    process = started(tmp_path, bundle)
+    device.wait("self.enabled")
+    leader, follower = pty.openpty()
+    words = [str(station_program()), "status", "--pid", str(process.pid)]
+    with subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=follower) as watcher:
+        assert b"rate" in os.read(leader, 65536)
+        maps = Path(f"/proc/{watcher.pid}/maps").read_text().splitlines()
+        shared = [line.split()[1] for line in maps if f"/dev/shm/hapticlod-station.{process.pid}" in line]
+        assert shared and set(shared) == {"r--s"}
+        watcher.send_signal(signal.SIGSTOP)
+        device.wait(f"self.good_forces > {device.good_forces + 50}")
+        watcher.kill()
+    os.close(leader)
+    os.close(follower)
+    device.wait(f"self.good_forces > {device.good_forces + 50}")
+    process.terminate()
+    code, said, err = ended(process)
+    assert code == 0, err
+    assert said["fault"] == "none"
+
+
 def test_killed_station_is_let_go_by_the_firmware(bundle: Path, device: VirtualDevice, tmp_path: Path) -> None:
     device.position_mm = (0.3, 0.0, 1.0)
     process = started(tmp_path, bundle)

@@ -58,6 +58,10 @@ int command_devices(Words words) {
         std::puts(json.close().text().c_str());
         return kExitFine;
     }
+    if (arguments.value().option("--profile")) {
+        const DeviceProfile& checked = profiles.front().value();
+        std::printf("%s: no fault in this profile (%s)\n", checked.file.c_str(), checked.name.c_str());
+    }
     if (entries.empty()) {
         std::puts("no HID device is there; sim, the simulated one, always is");
         return kExitFine;

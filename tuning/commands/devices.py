@@ -12,6 +12,9 @@ from hapticlod.device_profile import DeviceProfile, load_device_profile
 from hapticlod.device_recording import Sample, as_csv, samples
 from hapticlod.errors import InputError
 from hapticlod.files import write_atomic
+from hapticlod.motion.recording import FEWEST_ROWS
+
+MOST_SECONDS = 86400.0  # a motion's longest
 
 
 def devices_command(
@@ -40,11 +43,20 @@ def devices_command(
     json
         Print JSON.
     """
+    if not 0 < seconds <= MOST_SECONDS:
+        raise InputError("--seconds", f"is {seconds:g}", f"give a length above 0 and up to {MOST_SECONDS:g}")
     profiles = shipped_profiles() if profile is None else [(profile, load_device_profile(profile))]
     there = list_devices()
     if watch or record is not None:
         chosen = _only(profiles, serial)
-        _follow(chosen, serial, watch, record, seconds)
+        try:
+            _follow(chosen, serial, watch, record, seconds)
+        except KeyboardInterrupt:  # how watching ends; a recording that was cut short is not written
+            if record is not None:
+                raise
+        finally:
+            if watch:
+                print()
         return
     rows = [
         {**vars(device), "profiles": [str(path) for path, known in profiles if matches(device, known)]}
@@ -80,6 +92,8 @@ def _only(profiles: list[tuple[Path, DeviceProfile]], serial: str) -> DeviceProf
 
 def _follow(profile: DeviceProfile, serial: str, watch: bool, record: Path | None, seconds: float) -> None:
     device = find_device(profile, list_devices(), serial=serial)
+    if record is not None and not record.absolute().parent.is_dir():  # said before the hand has moved, not after
+        raise InputError(str(record), "lies in a folder that is not there", "choose one that exists")
     recorded: list[Sample] = []
     with opened(device) as handle:
         start = shown = time.monotonic()
@@ -97,5 +111,7 @@ def _follow(profile: DeviceProfile, serial: str, watch: bool, record: Path | Non
             if record is not None and sample.host_s - start >= seconds:
                 break
     if record is not None:
+        if len(recorded) < FEWEST_ROWS:
+            raise InputError(str(record), f"only {len(recorded)} positions in {seconds:g} s", "record for longer")
         write_atomic(record, as_csv(recorded))
         Console(highlight=False).print(f"{record}: {len(recorded)} positions in {seconds:g} s")
