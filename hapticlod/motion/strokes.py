@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, sosfiltfilt
+from scipy.special import ndtri
 
 Array = NDArray[np.float64]
 Mode = Literal["probe", "trace", "scan", "transfer"]
@@ -60,6 +61,14 @@ def stroke_speed(strokes: Strokes, ticks: int, rng: np.random.Generator) -> tupl
 def brownian_heading(ticks: int, rng: np.random.Generator, rad_per_root_s: float = 0.6) -> Array:
     """Heading (T,) rad at `BASE_HZ` that drifts as a random walk."""
     return np.cumsum(rng.normal(size=ticks)) * rad_per_root_s / np.sqrt(BASE_HZ)
+
+
+def spread_normals(count: int, rng: np.random.Generator) -> Array:
+    """Normal deviates (n,), one from each n-th part of the distribution, in random order (stratified sampling).
+
+    A motion has few contacts; drawn apart from each other, their forces would make two motions of one hand unlike.
+    """
+    return ndtri((rng.permutation(count) + rng.random(count)) / count)
 
 
 def tremor_mm(ticks: int, rng: np.random.Generator, *, rms_mm: float = 0.03, centre_hz: float = 10.0) -> Array:
