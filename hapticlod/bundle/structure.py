@@ -127,6 +127,8 @@ def _entry_fault(section: Section, flags: int, end: int, file_bytes: int) -> str
         return "reaches beyond the file"
     if flags & ~OPTIONAL:
         return "has unknown flags"
-    if section.level >= MAX_LEVELS or (section.level and section.type not in LEVEL_SECTIONS):
+    # A type that is not known here may be one of levels.
+    of_no_level = section.type in set(SectionType) and section.type not in LEVEL_SECTIONS
+    if section.level >= MAX_LEVELS or (section.level and of_no_level):
         return "has a wrong level"
     return ""
