@@ -20,7 +20,8 @@ constexpr double kAheadOfFace = 1.3;  // a face is proven for so many ticks' mot
 
 // Sliding over a rounded edge converges linearly, slowly where the HIP is near the centre of curvature. Successive
 // steps in one direction tell the rate (Aitken), and a short step is stretched to where they lead; it is swept all the
-// same. A long one is not: it could leap over the minimum it would have come to.
+// same. A long one is not, nor does a stretched one become longer than a short one may be: it could leap over the
+// minimum it would have come to, and round an open border behind that.
 class Slide {
 public:
     double stretch(const Vec3& step, double length) {
@@ -365,7 +366,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         bool stretched = false;
         if (solution.active > 0) {
             // Stretched, then back behind no plane: the sweep spares what the planes separate.
-            if (const double stretch = slide.stretch(step, length);
+            if (const double stretch = std::min(slide.stretch(step, length), kShortStep * mean_edge_mm_ / length);
                 stretch > 1.0 && length < (k < kPatience ? 0.3 : 1.0) * kShortStep * mean_edge_mm_) {
                 const PlaneSolution far =
                     nearest_feasible(planes_, local_ + step * stretch, false, 1e-3 * tolerances_.settled);
