@@ -86,6 +86,8 @@ std::string Bundle::take(SectionType type, std::uint32_t level, std::span<const 
     return {};
 }
 
+template std::string Bundle::take(SectionType, std::uint32_t, std::span<const PartData>&) const;
+
 std::string Bundle::load_signature() {
     const Section* section = find(SectionType::signature);
     if (section == nullptr) return {};
@@ -117,21 +119,28 @@ std::string Bundle::load() {
     if (std::string reason = take(SectionType::tool, 0, tool_); !reason.empty()) return reason;
     if (std::string reason = tool_fault(tool_); !reason.empty()) return "section TOOL: " + reason;
 
+    for (std::uint32_t level = 0; level < config_->level_count; ++level) {
+        if (config_->balls[level] > tool_.size()) {
+            return "section CONFIG: level " + std::to_string(level) + " uses more balls than the tool has";
+        }
+    }
+    if (find(SectionType::parts) != nullptr) {
+        if (std::string reason = load_parts(); !reason.empty()) return reason;
+        return load_golden();
+    }
     for (const Section& section : sections_) {
         if (is_level_section(section.entry.type) && section.entry.level >= config_->level_count) {
             return "section " + section.name() + " belongs to no level of the config";
         }
     }
     for (std::uint32_t level = 0; level < config_->level_count; ++level) {
-        if (config_->balls[level] > tool_.size()) {
-            return "section CONFIG: level " + std::to_string(level) + " uses more balls than the tool has";
-        }
-        if (std::string reason = load_level(level); !reason.empty()) return reason;
+        if (std::string reason = load_level(level, config_->triangles[level], config_->cell_mm[level]); !reason.empty())
+            return reason;
     }
     return load_golden();
 }
 
-std::string Bundle::load_level(std::uint32_t level) {
+std::string Bundle::load_level(std::uint32_t level, std::uint32_t triangles, double cell_mm) {
     LevelView view;
     if (std::string reason = take(SectionType::vertices, level, view.vertices); !reason.empty()) return reason;
     if (std::string reason = take(SectionType::faces, level, view.faces); !reason.empty()) return reason;
@@ -140,9 +149,9 @@ std::string Bundle::load_level(std::uint32_t level) {
     for (const float v : view.vertices) {
         if (!(std::abs(v) <= kMostCoordinateMm)) return at + "a vertex is not finite or beyond 10^9 mm";
     }
-    if (view.faces.size() / 3 != config_->triangles[level]) {
+    if (view.faces.size() / 3 != triangles) {
         return at + "has " + std::to_string(view.faces.size() / 3) + " triangles, its config says " +
-               std::to_string(config_->triangles[level]);
+               std::to_string(triangles);
     }
 
     if (find(SectionType::materials, level) != nullptr) {
@@ -156,7 +165,7 @@ std::string Bundle::load_level(std::uint32_t level) {
     }
     if (!usable) {
         auto storage = std::make_unique<LevelStorage>();
-        std::string reason = storage->build(view.vertices, view.faces, config_->cell_mm[level]);
+        std::string reason = storage->build(view.vertices, view.faces, cell_mm);
         if (reason.empty()) reason = storage->set_materials(view.materials);
         if (!reason.empty()) return at + reason;
         levels_.push_back(storage->view());
@@ -178,7 +187,7 @@ std::string Bundle::load_level(std::uint32_t level) {
     for (const std::uint32_t value : view.hash->reserved) {
         if (value != 0) return at + "a reserved field of its hash is not 0";
     }
-    if (view.hash->cell_mm != config_->cell_mm[level]) return at + "its hash has another cell_mm than its config";
+    if (view.hash->cell_mm != cell_mm) return at + "its hash has another cell_mm than its config";
     levels_.push_back(view);
     storage_.push_back(nullptr);
     return {};
