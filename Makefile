@@ -14,8 +14,8 @@ CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl' 'examples/*.c')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
-.PHONY: help setup configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-python \
-    lint format demo bench bench-quick bench-station soak fuzz station-static \
+.PHONY: help setup tools configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-usb-vm test-circle \
+    test-python lint format demo bench bench-quick bench-station bench-open soak fuzz station-static \
     evaluate-surrogate bench-tuners clean
 
 help:  ## this list
@@ -23,6 +23,9 @@ help:  ## this list
 
 setup:  ## system packages (as root or with sudo), .venv, Python packages
 	@scripts/bootstrap
+
+tools:  # enough to compile
+	@scripts/bootstrap tools
 
 configure: setup
 	@mkdir -p build
@@ -46,15 +49,15 @@ station-static: setup  ## one hapticlod-station without run-time dependencies: m
 product: configure  ## the station and the Python module alone
 	@cmake --build $(RELEASE) --target hapticlod-station _runtime _runtime_stub
 
-# Checking types keeps one core busy: the sanitized build has the other meanwhile.
-test: setup  ## everything CI runs
+# Fetching packages and checking types keep one core busy: the sanitized build has the other meanwhile.
+test: tools  ## everything CI runs
 	@$(MAKE) --no-print-directory --output-sync=target -j 2 lint test-sanitized-build
 	@$(MAKE) --no-print-directory test-cpp test-sanitized test-python
 
 test-cpp: build  ## C++ tests, release build
 	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error -j 2
 
-test-sanitized-build: setup
+test-sanitized-build: tools
 	@mkdir -p build
 	@cmake -S . -B $(SANITIZED) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
 	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) \
@@ -73,7 +76,13 @@ test-threads: setup  ## loop, writer, telemetry under ThreadSanitizer
 	@for test in $(THREADED); do build/threads/tests/$$test --gtest_brief=1 || exit 1; done
 
 test-hidraw-vm: build  ## the station against a real kernel's hidraw in QEMU; skipped with one line where it cannot be had
-	@scripts/test_hidraw_vm || [ $$? = 77 ]
+	@scripts/test_device_vm uhid || [ $$? = 77 ]
+
+test-usb-vm: build  ## the same on USB (vhci_hcd: usbhid, its endpoints, SET_REPORT, replug); downloads a kernel of 70 MB
+	@scripts/test_device_vm usb || [ $$? = 77 ]
+
+test-circle: build  ## a hand recorded on the simulated device, a whole tuning for it, and its run: a minute
+	@HAPTICLOD_WHOLE=1 $(BIN)/python -m pytest -q tests/test_recording_circle.py
 
 test-python: build  ## Python tests
 	@$(BIN)/python -m pytest -q -n auto --dist worksteal
@@ -100,11 +109,14 @@ bench-quick: build  ## the same on 100 k triangles
 bench-station: product  ## wake-ups and computing of the loop apart, on the demo's bundle or BUNDLE=file [SECONDS_EACH=20]
 	@$(BIN)/python -m benchmarks.bench_station $(if $(BUNDLE),--bundle="$(BUNDLE)") $(if $(SECONDS_EACH),--seconds="$(SECONDS_EACH)")
 
+bench-open: build  ## from opening 2.6 M triangles, or BUNDLE=file, to the first tick: cold, warm, known
+	@$(BIN)/python -m benchmarks.bench_open $(if $(BUNDLE),--bundle="$(BUNDLE)")
+
 TICKS ?= 100000000
 RUNS ?= 1e7
-fuzz: test-sanitized-build  ## 10^7 mutated bundles, motions and key files under sanitizers: hours; make fuzz RUNS=1e6
+fuzz: test-sanitized-build  ## 10^7 mutated bundles, motions, key files and profiles under sanitizers: hours; make fuzz RUNS=1e6
 	@command -v clang++ >/dev/null || { echo "make fuzz needs libFuzzer: apt-get install clang"; exit 1; }
-	@for target in bundle motion trusted_keys; do \
+	@for target in bundle motion trusted_keys device_profile; do \
 	    mkdir -p build/fuzz/$$target; \
 	    $(SANITIZED)/fuzz/$${target}_fuzz -runs=$$(printf %.0f $(RUNS)) -timeout=60 -max_len=16384 -print_final_stats=1 \
 	        -artifact_prefix=build/fuzz/$$target- build/fuzz/$$target runtime/fuzz/corpus/$$target || exit 1; \

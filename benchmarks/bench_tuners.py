@@ -24,6 +24,7 @@ from rich.table import Table
 
 from hapticlod.errors import InputError
 from tuning.cli import run
+from tuning.commands.outputs import check_writable
 from tuning.progress import StageProgress
 
 OURS = "ours"
@@ -74,8 +75,8 @@ def bench_tuners_command(
         raise InputError("SCAN", "no scan was given", "say make bench-tuners SCAN=file")
     if evaluations < 1 or not 0 <= seconds < 1e6:
         raise InputError("EVALUATIONS", f"{evaluations} for {seconds:g} s is no share", "give 1 or more, and seconds")
-    if json is not None and (json.is_dir() or not json.resolve().parent.is_dir()):
-        raise InputError(str(json), "cannot be written", "give the name of a file in a folder that exists")
+    if json is not None:
+        check_writable(json)
     if missing := [name for name in ("optuna", "cmaes") if find_spec(name) is None]:
         raise InputError(", ".join(missing), "is not installed", "pip install -e '.[bench]'")
     with tempfile.TemporaryDirectory() as cache:  # ours starts cold
@@ -144,8 +145,7 @@ def _compared(
 
 def _again(best: Sequence[tuple[Any, float]], verifier: Any, station: Any) -> dict[str, Any]:
     """The first of the best that holds its limits when it is measured again."""
-    from tuning.search import objective
-    from tuning.tune import holds
+    from tuning.objective import holds, objective
 
     for config, _ in best[:AGAIN]:
         metrics = verifier.measured(config)

@@ -16,8 +16,8 @@ import numpy as np
 from hapticlod.config import Level, LodConfig
 from hapticlod.station import Station
 from tuning.baselines import CELL_EDGES, PAPER_TRIANGLES, papers_rule
+from tuning.objective import objective
 from tuning.prepare import Prepared
-from tuning.search import objective
 from tuning.verify import Verifier
 
 PENALTY = 10.0  # JND for a factor e over a limit

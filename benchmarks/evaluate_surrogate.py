@@ -17,6 +17,7 @@ from rich.table import Table
 
 from hapticlod.errors import InputError
 from tuning.cli import run
+from tuning.commands.outputs import check_writable
 from tuning.progress import StageProgress
 
 FEWEST_CONFIGS = 5
@@ -64,8 +65,8 @@ def evaluate_command(
         raise InputError("SCAN", "no scan was given", "say make evaluate-surrogate SCAN=file")
     if configs < FEWEST_CONFIGS:
         raise InputError("CONFIGS", f"{configs} are too few to rank", f"give at least {FEWEST_CONFIGS}")
-    if json is not None and (json.is_dir() or not json.resolve().parent.is_dir()):
-        raise InputError(str(json), "cannot be written", "give the name of a file in a folder that exists")
+    if json is not None:
+        check_writable(json)
     target, held, recorded = load_inputs(station, tool, motions)
     with StageProgress(Console(stderr=True, highlight=False)) as told:
         told("load and clean the scan", 0.0)

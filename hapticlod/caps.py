@@ -6,6 +6,8 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from hapticlod.topology import is_among
+
 _PASSES = 8  # a cap may lean on another cap; chains longer than this are left open
 
 
@@ -59,7 +61,7 @@ def flip_caps(vertices: np.ndarray, faces: np.ndarray, height: float, source: np
         all_a, all_b = faces.ravel(), faces[:, [1, 2, 0]].ravel()
         key = np.minimum(all_a, all_b) * stride + np.maximum(all_a, all_b)
         wanted = np.minimum(a, b) * stride + np.maximum(a, b)
-        near = np.flatnonzero(np.isin(key, wanted))
+        near = np.flatnonzero(is_among(key, wanted))
         near = near[np.argsort(key[near], kind="stable")]
         left, right = np.searchsorted(key[near], wanted, "left"), np.searchsorted(key[near], wanted, "right")
         touched: set[int] = set()

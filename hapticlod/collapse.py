@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hapticlod.islands import Collapses, drop_islands, find_islands
 from hapticlod.orphans import adopt_isolated
 from hapticlod.skirt import add_skirt
 from hapticlod.topology import edge_table
@@ -28,6 +29,8 @@ _SWEEPS = 16
 @dataclass(frozen=True, eq=False)
 class CollapseList:
     """Collapses of a mesh of m faces, in order. Its n vertices are followed by those of the skirt along its borders.
+
+    Islands go by the rule of `hapticlod.islands`: with a collapse, or after the last as one that moves nothing.
 
     Attributes:
         vertices, faces: (n + skirt, 3) float64 and (m, 3) int.
@@ -54,6 +57,10 @@ class CollapseList:
         """The least number of collapses that leaves at most so many faces; all of them where none does."""
         return min(int(np.searchsorted(-self.alive_after, -triangles)), len(self.kept))
 
+    def alive(self, collapses: int) -> np.ndarray:
+        """Which faces (m,) bool of the full mesh are left after so many collapses, in the order of `mesh`'s."""
+        return self.face_death > collapses
+
     def mesh(self, collapses: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The mesh after so many collapses.
 
@@ -62,7 +69,7 @@ class CollapseList:
             this one. Order is kept: what stays follows the order of the full mesh. A vertex may be without faces.
         """
         root = self._roots(collapses)
-        corners = root[self.faces[self.face_death > collapses]]
+        corners = root[self.faces[self.alive(collapses)]]
         moved = self.vertices.copy()
         # Where a vertex was kept several times the last assignment stays, which is its last position.
         moved[self.kept[:collapses]] = self.position[:collapses]
@@ -116,6 +123,12 @@ def collapse(vertices: np.ndarray, faces: np.ndarray, triangles: int) -> Collaps
         parent[undone], step[undone] = np.flatnonzero(undone), last + 1
         death = np.minimum(death, last + 1)
         kept, place, alive = kept[:last], place[:last], alive[: last + 1]
+    if (islands := find_islands(vertices, faces, corners)) is not None:
+        final = vertices.copy()
+        final[kept] = place
+        made = drop_islands(islands, faces, triangles, Collapses(parent, step, death, kept, place, final))
+        parent, step, death, kept, place = made.parent, made.step, made.death, made.kept, made.place
+        alive = len(faces) - np.cumsum(np.bincount(death, minlength=len(kept) + 2)[: len(kept) + 1])
     adopt_isolated(vertices, faces, parent, step, death, kept, place)
     return CollapseList(vertices, faces, vertex_count, parent, step, kept, place, death, alive)
 

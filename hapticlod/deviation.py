@@ -23,7 +23,8 @@ class Deviation:
     Attributes:
         rms_mm: root mean square distance, both directions weighted alike.
         hausdorff_mm: greatest distance found in either direction (the true one is never less).
-        turned_part: part of the mesh's area that faces against the nearest face of the scan.
+        turned_part: part of the mesh's area that faces against the nearest face of the scan: on parts thinner than the
+            distance between mesh and scan the nearest face may be the other side's.
     """
 
     rms_mm: float
@@ -50,9 +51,14 @@ class ScanSurface:
         """Closest points on the scan."""
         return SurfaceIndex(self.vertices, self.faces)
 
-    def deviation(self, vertices: np.ndarray, faces: np.ndarray, vertex_map: np.ndarray) -> Deviation:
-        """Measure a mesh against the scan; vertex_map (n,) int gives the mesh's vertex for every scan vertex."""
-        mesh = SurfaceIndex(vertices, faces)
+    def deviation(
+        self, vertices: np.ndarray, faces: np.ndarray, vertex_map: np.ndarray, mesh: SurfaceIndex | None = None
+    ) -> Deviation:
+        """Measure a mesh against the scan; vertex_map (n,) int gives the mesh's vertex for every scan vertex.
+
+        `mesh`: the index of the mesh, if there is one.
+        """
+        mesh = mesh or SurfaceIndex(vertices, faces)
         to_mesh = mesh.nearest(self._points).distance_mm
         suspects = np.concatenate(
             (
@@ -97,12 +103,12 @@ class ScanSurface:
         return np.unique(faces[window]) if corners else window
 
 
-def spread_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def spread_points(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Points (count, 3) on a mesh, one in each of `count` equal parts of its area, and the face (count,) of each.
 
     Always the same points for the same mesh.
     """
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     place = (np.arange(count) + rng.random(count)) / count * area[-1]

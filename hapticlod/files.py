@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from hapticlod.errors import InputError
 
@@ -21,15 +23,25 @@ def write_atomic(path: str | os.PathLike[str], data: bytes | bytearray | memoryv
     Raises:
         InputError: the place cannot be written. Nothing is left behind.
     """
+    with atomic_stream(path) as stream:
+        stream.write(data.encode("utf-8") if isinstance(data, str) else data)
+
+
+@contextmanager
+def atomic_stream(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """`write_atomic` for what is written piece by piece: the new file is there when the block ends, whole.
+
+    Raises:
+        InputError: the place cannot be written. Nothing is left behind, as after any other error in the block.
+    """
     target = Path(os.path.realpath(path))
-    content = data.encode("utf-8") if isinstance(data, str) else data
     try:
         descriptor, beside = tempfile.mkstemp(prefix=f".{target.name[:100]}.", suffix=".part", dir=target.parent)
     except OSError as error:
         raise _cannot_write(path, error) from error
     try:
         with os.fdopen(descriptor, "wb") as stream:
-            stream.write(content)
+            yield stream
             stream.flush()
             os.fsync(stream.fileno())
         os.chmod(beside, _mode_for(target))

@@ -9,16 +9,20 @@ from functools import cached_property
 import numpy as np
 
 from hapticlod.caps import contract_dust, flip_caps, is_flat
+from hapticlod.closest import SurfaceIndex
 from hapticlod.collapse import CollapseList, collapse
 from hapticlod.deviation import Deviation, ScanSurface
-from hapticlod.errors import HapticLODError, InputError
-from hapticlod.material import transferred, vertex_areas
+from hapticlod.errors import InputError
+from hapticlod.material import face_areas, transferred, vertex_areas
 from hapticlod.repair import DEGENERATE_HEIGHT_OF_EXTENT
+from hapticlod.rung_check import Sides, UnsoundRung, checked_deviation
 from hapticlod.scan import Scan
+from hapticlod.topology import vertex_components
 
 STAGE = "simplify into a ladder and measure the rungs"
 # A rung that is less than this part smaller than the one before tells nothing new.
 _LEAST_STEP = 0.03
+_NOTED_AREA = 0.02  # of the scan's: a rung's loss of area that is worth a note
 _REMEMBERED = 32  # rungs of `at` that are kept
 
 
@@ -60,11 +64,23 @@ class Rung:
         return float(np.sqrt(np.einsum("ijk,ijk->ij", sides, sides)).mean())
 
     @cached_property
+    def area_mm2(self) -> float:
+        """Area of all faces."""
+        return float(face_areas(self.vertices, self.faces).sum())
+
+    @cached_property
+    def components(self) -> int:
+        """How many parts its faces form, joined through shared vertices."""
+        return vertex_components(self.faces, len(self.vertices))[0]
+
+    @cached_property
     def deviation(self) -> Deviation:
-        """Distance to the scan, measured when first asked for: see `ScanSurface` for the sampling."""
+        """Distance to the scan, measured and checked when first asked for: see `ScanSurface` for the sampling."""
         if self.vertices is self._scan.vertices:
             return Deviation(0.0, 0.0, 0.0)
-        return self._scan.deviation(self.vertices, self.faces, self.vertex_map)
+        mesh = SurfaceIndex(self.vertices, self.faces)
+        said = self._scan.deviation(self.vertices, self.faces, self.vertex_map, mesh)
+        return checked_deviation(said, self._scan, self.vertices, self.faces, mesh)
 
     @property
     def rms_mm(self) -> float:
@@ -90,6 +106,8 @@ class Ladder:
     rungs: tuple[Rung, ...]
     notes: tuple[str, ...]
     _collapses: CollapseList = field(repr=False)
+    _sides: Sides = field(repr=False)
+    _last: int = field(repr=False)  # collapses of the coarsest rung that may be touched
     _made: dict[int, Rung] = field(repr=False, default_factory=dict)
 
     def at(self, triangles: int) -> Rung:
@@ -99,6 +117,7 @@ class Ladder:
 
         Raises:
             InputError: `triangles` is less than 1.
+            UnsoundRung: what simplification gave there must not be touched.
         """
         if triangles < 1:
             raise InputError(f"{triangles} triangles", "is less than 1", "ask for a positive number of triangles")
@@ -107,11 +126,11 @@ class Ladder:
                 return rung
         if triangles >= self.scan.triangles:
             return self.rungs[0]
-        steps = self._collapses.collapses_for(triangles)
+        steps = min(self._collapses.collapses_for(triangles), self._last)
         if steps not in self._made:
             if len(self._made) >= _REMEMBERED:
                 self._made.pop(next(iter(self._made)), None)
-            self._made[steps] = _rung(self._collapses, steps, triangles, self.scan, self.rungs[0]._scan)
+            self._made[steps] = _rung(self._collapses, steps, triangles, self.scan, self.rungs[0]._scan, self._sides)
         return self._made[steps]
 
 
@@ -132,7 +151,6 @@ def build_ladder(
 
     Raises:
         InputError: fewer than 1 rung or a ratio below 1.
-        HapticLODError: simplification gave a mesh that is not sound (a fault of this program, not of the scan).
     """
     if rungs < 1:
         raise InputError(f"rungs = {rungs}", "is less than 1", "ask for about 12")
@@ -146,23 +164,30 @@ def build_ladder(
     collapses = collapse(scan.vertices, scan.faces, targets[-1])
     same = np.arange(len(scan.vertices), dtype=np.int32)
     finest = Rung(scan.vertices, scan.faces, same, count, surface, scan.vertex_materials)
-    made = [finest]
+    made, refused, last = [finest], "", 0
+    sides = Sides(scan.vertices, scan.faces)
     tell(STAGE, 0.2)
     for number, target in enumerate(targets[1:], start=1):
-        rung = _rung(collapses, collapses.collapses_for(target), target, scan, surface)
+        steps = collapses.collapses_for(target)
+        try:
+            rung = _rung(collapses, steps, target, scan, surface, sides)
+        except UnsoundRung as fault:
+            refused = f"rungs below {made[-1].triangles} triangles are left out: the next one {fault}"
+            break
+        last = steps
         if rung.triangles > (1.0 - _LEAST_STEP) * made[-1].triangles:
             continue
         _ = rung.deviation  # measured now, while progress is shown
         made.append(rung)
         tell(STAGE, 0.2 + 0.8 * number / max(1, rungs - 1))
     tell(STAGE, 1.0)
-    return Ladder(scan, tuple(made), _notes(made, targets), collapses)
+    notes = ((refused,) if refused else ()) + _notes(made, targets, bool(refused))
+    return Ladder(scan, tuple(made), notes, collapses, sides, last)
 
 
-def _rung(collapses: CollapseList, steps: int, asked: int, scan: Scan, surface: ScanSurface) -> Rung:
+def _rung(collapses: CollapseList, steps: int, asked: int, scan: Scan, surface: ScanSurface, sides: Sides) -> Rung:
     vertices, faces, vertex_map = collapses.mesh(steps)
-    if not np.isfinite(vertices).all():
-        raise HapticLODError(f"simplification of {scan.name} to {asked} triangles put a vertex at infinity")
+    sides.check(vertices, faces, collapses.alive(steps))
     height = DEGENERATE_HEIGHT_OF_EXTENT * scan.extent_mm
     if is_flat(vertices, faces, height).any():
         # Vertices that came to lie on one point share faces from here on; the map still tells them apart.
@@ -178,17 +203,28 @@ def _rung(collapses: CollapseList, steps: int, asked: int, scan: Scan, surface: 
     return Rung(vertices, faces, vertex_map, asked, surface, materials)
 
 
-def _notes(made: list[Rung], targets: list[int]) -> tuple[str, ...]:
+def _notes(made: list[Rung], targets: list[int], was_refused: bool) -> tuple[str, ...]:
     notes = []
-    if len(made) < len(targets):
+    coarsest = made[-1]
+    if len(made) < len(targets) and not was_refused:
         notes.append(
-            f"{len(made)} rungs instead of {len(targets)}: simplification stopped at {made[-1].triangles} triangles, "
+            f"{len(made)} rungs instead of {len(targets)}: simplification stopped at {coarsest.triangles} triangles, "
             f"{targets[-1]} were asked for"
         )
-    elif made[-1].is_larger_than_asked:
-        notes.append(f"the coarsest rung has {made[-1].triangles} triangles, {targets[-1]} were asked for")
+    elif coarsest.is_larger_than_asked and not was_refused:
+        notes.append(f"the coarsest rung has {coarsest.triangles} triangles, {targets[-1]} were asked for")
+    if (parts := made[0].components) > 1 and coarsest.components < parts:
+        notes.append(
+            f"of {parts} parts the coarsest rung has {coarsest.components}: a part is left out where it is smaller "
+            "than the rung's mean edge"
+        )
+    part = coarsest.area_mm2 / made[0].area_mm2
+    if abs(part - 1.0) > _NOTED_AREA:
+        notes.append(f"the coarsest rung of {coarsest.triangles} triangles has {100 * part:.0f} % of the scan's area")
     turned = max(made, key=lambda rung: rung.deviation.turned_part)
     if turned.deviation.turned_part > 0.01:
-        part = f"{100 * turned.deviation.turned_part:.1f} %"
-        notes.append(f"{part} of the rung of {turned.triangles} triangles face against the scan (thin or folded parts)")
+        notes.append(
+            f"{100 * turned.deviation.turned_part:.1f} % of the rung of {turned.triangles} triangles lie nearer to the "
+            "other side of a thin or folded part than to their own"
+        )
     return tuple(notes)

@@ -117,3 +117,5 @@ BRICK_DTYPE: Final = np.dtype([("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("first
 MATERIAL_DTYPE: Final = np.dtype([(name, "<f4") for name in ("stiffness_n_mm", "friction_static", "friction_dynamic")])
 
 BLOCK_DTYPE: Final = np.dtype([("v", "<f4", (9, 8)), ("id", "<u4", 8)])
+
+BOUND_DTYPE: Final = np.dtype([(name, "<f4") for name in ("x", "y", "z", "radius", "nx", "ny", "nz", "half")])

@@ -64,8 +64,9 @@ def clean(
     _some_left(faces, where, "every face is degenerate (two of its corners are one point)")
     height = DEGENERATE_HEIGHT_OF_EXTENT * float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
     flat = is_flat(vertices, faces, height)
-    count["degenerate_faces"] = _all_fixed(collapsed + int(flat.sum()))
+    collapsed += int(flat.sum())
     if flat.any():
+        firm = source[~flat]
         faces = contract_dust(vertices, faces, height)[faces]
         repeated = _repeats(faces)
         source = source[~repeated]
@@ -73,6 +74,11 @@ def clean(
         flat = is_flat(vertices, faces, height)
         faces, source = faces[~flat], source[~flat]
         _some_left(faces, where, "every face is degenerate (without area)")
+        # Where dust lies in heaps, contracting it takes faces along that were not flat themselves.
+        left_over = np.zeros(len(usable), dtype=bool)
+        left_over[source] = True
+        collapsed += int((~left_over[firm]).sum())
+    count["degenerate_faces"] = _all_fixed(collapsed)
     single = _first_of_each(faces)
     count["duplicate_faces"] = _all_fixed(len(faces) - len(single))
     faces, source = faces[single], source[single]

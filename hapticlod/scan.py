@@ -106,7 +106,7 @@ def load_scan(path: str | os.PathLike[str], unit: str | None = "mm", *, strict: 
     taken = asked or held.unit or guess_unit(held.vertices, held.faces)
     held = replace(held, vertices=held.vertices * taken.mm)
     scan = _make(held, os.fspath(path), path.stem, path.name, taken.name, strict)
-    notes = scan.report.notes
+    notes = scan.report.notes + held.notes
     if asked is None:
         notes += (taken.why,)
     elif held.unit is not None and held.unit.name != asked.name:

@@ -10,20 +10,25 @@ import warnings
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hapticlod.errors import InputError
+from hapticlod.glb_header import check_glb
 from hapticlod.ply_header import check_ply
 from hapticlod.scan_attributes import corner_colours, face_materials
 from hapticlod.scan_unit import Unit, unit_of_3mf, unit_of_file
 
 _EXPORT_AGAIN = "export or copy the file again"
+_SMALLER = "reduce the scan in the program that made it, or export it as binary STL or PLY"
 _STL_HEAD, _STL_FACET = 84, 50  # bytes: 80 of comment and a uint32 count; 12 floats and 2 bytes of attributes
-_MOST_UNPACKED = 4 << 30  # bytes that a 3MF archive may claim to hold
+# Bytes of the largest file that is read: 80 million triangles as binary STL, 15 million as text. What a 3MF archive
+# unpacks to is read as text, which takes several times its length in memory.
+_MOST_BYTES, _MOST_UNPACKED = 4 << 30, 1 << 30
+_ARCHIVES = {b"PK\x03\x04": "zip", b"\x1f\x8b\x08": "gzip", b"7z\xbc\xaf": "7z", b"Rar!": "rar", b"BZh": "bzip2"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +38,7 @@ class FileMesh:
     Attributes:
         vertices: (n, 3) float64 in the file's unit. faces: (m, 3) int64, every index in 0..n-1.
         materials: (m, 3) of `hapticlod.material`, or None. colours: (m, 3, 3) uint8 per corner of each face, or None.
-        unit: what the file says of it, or None.
+        unit: what the file says of it, or None. notes: what was left out, one sentence each.
     """
 
     vertices: np.ndarray
@@ -41,6 +46,7 @@ class FileMesh:
     materials: np.ndarray | None = None
     colours: np.ndarray | None = None
     unit: Unit | None = None
+    notes: tuple[str, ...] = ()
 
 
 def read_mesh(path: Path) -> FileMesh:
@@ -66,9 +72,9 @@ def read_mesh(path: Path) -> FileMesh:
         data = _check_off(_as_utf8(data, kind, where), where)
     elif kind == "3mf":
         _check_3mf(data, where)
-    elif data[:4] != b"glTF":
-        raise InputError(where, "does not start like a GLB file", "save it as binary glTF (.glb)")
-    bodies = list(_bodies(data, kind, where))
+    else:
+        check_glb(data, where)
+    bodies = _bodies(data, kind, where)
     if not bodies:
         raise InputError(where, "holds no triangles", "export a surface with faces")
     sizes = np.cumsum([0] + [len(body.vertices) for body in bodies])
@@ -79,6 +85,7 @@ def read_mesh(path: Path) -> FileMesh:
         bodies[0].materials if len(bodies) == 1 else None,  # only PLY has any, and it is one body
         np.concatenate(colours) if len(colours) == len(bodies) else None,
         bodies[0].unit or unit_of_file(data, kind),
+        tuple(note for body in bodies for note in body.notes),
     )
 
 
@@ -101,15 +108,24 @@ def _read_bytes(path: Path, kind: str) -> bytes:
         raise InputError(where, "is a folder", "name the mesh file in it")
     if not path.exists():
         raise InputError(where, "does not exist", "check the path")
+    if not path.is_file():
+        raise InputError(where, "is no file", "give a mesh file")
+    if kind in ("zip", "gz", "7z", "rar", "bz2", "tar", "tgz", "xz"):
+        raise InputError(where, "is an archive", "unpack it and give the mesh file in it")
     if kind not in ("stl", "ply", "obj", "off", "glb", "3mf"):
         ending = f"the ending .{kind}" if kind else "a name without an ending"
         raise InputError(where, f"{ending} is no known mesh format", "give STL, PLY, OBJ, OFF, GLB or 3MF")
     try:
+        if (size := path.stat().st_size) > _MOST_BYTES:
+            raise InputError(where, f"has {size / 2**30:.1f} GB, more than is read ({_MOST_BYTES >> 30} GB)", _SMALLER)
         data = path.read_bytes()
     except OSError as error:
         raise InputError(where, f"cannot be read ({error.strerror})", "check the permissions of the file") from error
     if not data:
         raise InputError(where, "is empty (0 bytes)", _EXPORT_AGAIN)
+    packed = next((name for magic, name in _ARCHIVES.items() if data.startswith(magic)), None)
+    if packed is not None and kind != "3mf":
+        raise InputError(where, f"is a {packed} archive", "unpack it and give the mesh file in it")
     return data
 
 
@@ -180,7 +196,7 @@ def _as_utf8(data: bytes, kind: str, where: str) -> bytes:
         return data.decode("latin-1").encode("utf-8")  # a comment in an old encoding; numbers are the same
 
 
-def _bodies(data: bytes, kind: str, where: str) -> Iterator[FileMesh]:
+def _bodies(data: bytes, kind: str, where: str) -> list[FileMesh]:
     import trimesh  # slow to import, and only needed here
 
     try:
@@ -199,22 +215,26 @@ def _bodies(data: bytes, kind: str, where: str) -> Iterator[FileMesh]:
             where, f"cannot be read as {kind.upper()} ({type(error).__name__}: {reason})", _EXPORT_AGAIN
         ) from error
     points = 0
-    found = False
+    bodies = []
     for part, pose in parts:
         vertices = np.asarray(part.vertices, dtype=np.float64)
         faces = np.asarray(getattr(part, "faces", ()), dtype=np.int64)
         if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.size == 0:
             points += len(vertices)
             continue
-        found = True
         if not np.array_equal(pose, np.eye(4)):
             vertices = vertices @ pose[:3, :3].T + pose[:3, 3]
             if np.linalg.det(pose[:3, :3]) < 0.0:
                 faces = faces[:, ::-1]
         check_indices(faces, len(vertices), where)
-        yield FileMesh(vertices, faces, face_materials(part, len(faces), where), corner_colours(part, faces), said)
-    if points and not found:
+        materials, colours = face_materials(part, len(faces), where), corner_colours(part, faces)
+        bodies.append(FileMesh(vertices, faces, materials, colours, said))
+    if points and not bodies:
         raise InputError(where, f"is a point cloud ({points} points, no faces)", "mesh it first, then give the surface")
+    if points:
+        note = f"parts of {points} points without faces (lines or point clouds) were left out"
+        bodies[0] = replace(bodies[0], notes=(note,))
+    return bodies
 
 
 @contextmanager

@@ -75,8 +75,9 @@ def guess_unit(vertices: np.ndarray, faces: np.ndarray) -> Unit:
     Args:
         vertices: (n, 3) in the file's unit; not finite ones are passed over. faces: (m, 3) indices.
     """
-    points = vertices[np.unique(faces)]
-    points = points[np.isfinite(points).all(axis=1)]
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces.ravel()] = True
+    points = vertices[used & np.isfinite(vertices).all(axis=1)]
     if len(points) == 0:
         return Unit("mm", "unit mm: nothing to guess from", False)
     few = vertices[faces[:: max(1, len(faces) // 20_000)]]

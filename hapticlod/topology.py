@@ -54,5 +54,15 @@ def vertex_components(faces: np.ndarray, vertex_count: int) -> tuple[int, np.nda
     columns = np.concatenate((faces[:, 1], faces[:, 2]))
     graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(vertex_count, vertex_count))
     _, label = connected_components(graph.tocsr(), directed=False)
-    used, of_face = np.unique(label[faces[:, 0]], return_inverse=True)
-    return len(used), of_face.astype(np.int32)
+    of_face = label[faces[:, 0]]
+    used = np.zeros(int(label.max()) + 1, dtype=bool)
+    used[of_face] = True
+    return int(used.sum()), (np.cumsum(used, dtype=np.int32) - 1)[of_face]
+
+
+def is_among(values: np.ndarray, few: np.ndarray) -> np.ndarray:
+    """Which of many integers (k,) occur in `few` (j,), as (k,) bool; np.isin would sort or hash the many."""
+    if len(few) == 0:
+        return np.zeros(len(values), dtype=bool)
+    known = np.sort(few)
+    return known[np.minimum(np.searchsorted(known, values), len(known) - 1)] == values

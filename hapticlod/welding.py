@@ -7,7 +7,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from hapticlod.topology import edge_table
+from hapticlod.topology import edge_table, is_among
 
 # Two border vertices nearer than this, as a part of the extent (the diagonal of the bounding box), are one point:
 # 9.5 um on a dental arch of 95 mm. A crack that narrow is an artefact of export, not of the tooth.
@@ -70,14 +70,16 @@ def weld_near_borders(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, n
     if len(border) == 0:
         return 0.0, goal
     tolerance = _tolerance(vertices, faces)
-    pairs = KDTree(vertices[border]).query_pairs(tolerance, output_type="ndarray")
+    tree = KDTree(vertices[border], balanced_tree=False, compact_nodes=False)  # built fast: it is asked once
+    pairs = tree.query_pairs(tolerance, output_type="ndarray")
     if len(pairs) == 0:
         return tolerance, goal
     pairs = np.sort(border[pairs], axis=1)
     stride = len(vertices)
     edges = np.concatenate((faces[:, :2], faces[:, 1:], faces[:, [2, 0]])).astype(np.int64)
     edges = np.sort(edges[on_border[edges[:, 0]] & on_border[edges[:, 1]]], axis=1)
-    pairs = pairs[~np.isin(pairs[:, 0] * stride + pairs[:, 1], edges[:, 0] * stride + edges[:, 1])]
+    pair, edge = pairs[:, 0] * stride + pairs[:, 1], edges[:, 0] * stride + edges[:, 1]
+    pairs = pairs[~is_among(pair, edge[is_among(edge, pair)])]
     graph = coo_matrix((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(stride, stride))
     count, label = connected_components(graph.tocsr(), directed=False)
     lowest = np.full(count, stride, dtype=np.int64)

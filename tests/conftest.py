@@ -40,11 +40,20 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         sys.modules["jax"].config.update("jax_enable_x64", True)
 
 
+DATA = Path(os.environ.get("HAPTICLOD_DATA") or REPOSITORY.parent / "shared" / "data")
+
+
 @pytest.fixture(scope="session")
-def data_dir() -> Path:
+def data_dir_or_none() -> Path | None:
+    """Folder of the real scans and hand motions, for tests that use them where they are."""
+    return DATA if (DATA / "meshes").is_dir() else None
+
+
+@pytest.fixture(scope="session")
+def data_dir(data_dir_or_none: Path | None) -> Path:
     """Folder of the real scans and hand motions ($HAPTICLOD_DATA, else ../shared/data beside the repository)."""
-    folder = Path(os.environ.get("HAPTICLOD_DATA") or REPOSITORY.parent / "shared" / "data")
-    if not (folder / "meshes").is_dir():
+    folder = DATA
+    if data_dir_or_none is None:
         pytest.skip(
             f"real scans not found in {folder}: set HAPTICLOD_DATA to the folder that holds meshes/ and motion/"
         )

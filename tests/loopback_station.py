@@ -1,6 +1,6 @@
 """A station for the deployment tests: a real sshd on loopback with keys and a port of its own, and a throw-away root.
 
-`systemctl`, `df` and the station program's `qualify` are stand-ins that do what files beside them say.
+`systemctl`, `df`, `tar`, `cp` and the station program's `qualify` are stand-ins that do what files beside them say.
 """
 
 import getpass
@@ -27,6 +27,11 @@ esac
 _DF = """#!/bin/sh
 [ -e "{folder}/full" ] || exec /usr/bin/env PATH=/usr/bin:/bin df "$@"
 printf 'Filesystem 1024-blocks Used Available Capacity Mounted\\nx 100 90 10 90%% /\\n'
+"""
+# A disk that fills up while it writes: no file of more than 32 kB.
+_FILLING = """#!/bin/sh
+[ "$(cat "{folder}/filling" 2>/dev/null)" != {{name}} ] || ulimit -f 64
+exec /usr/bin/env PATH=/usr/bin:/bin {{name}} "$@"
 """
 _STATION = """#!/bin/sh
 case $1 in
@@ -60,7 +65,8 @@ class LoopbackStation:
     program: Path
 
     def flag(self, name: str, text: str = "") -> None:
-        """Make a stand-in misbehave: `full`, `unfit`, `broken` with the release it stands for; `service` exists."""
+        """Make a stand-in misbehave: `full`, `unfit`, `filling` with the program that meets it, `broken` with the
+        release it stands for; `service` exists."""
         (self.folder / name).write_text(text)
 
     def state(self) -> dict[str, str]:
@@ -105,6 +111,7 @@ def start_station(folder: Path) -> Iterator[LoopbackStation]:
     root = folder / "station"
     program = stand_in(folder)
     stand_ins = {folder / "bin/systemctl": _SYSTEMCTL, folder / "bin/df": _DF}
+    stand_ins |= {folder / f"bin/{name}": _FILLING.replace("{{name}}", name) for name in ("tar", "cp")}
     for path, text in stand_ins.items():
         path.write_text(text.format(folder=folder, root=root))
         path.chmod(0o755)

@@ -76,8 +76,8 @@ def test_timing_goes_to_the_worker_that_is_marked_even_if_it_dies(folder: Path, 
     assert len(medians_us) == 4 and min(medians_us) > 0.0
 
 
-def test_the_command_on_a_cluster(folder: Path, scheduler: str, capsys: pytest.CaptureFixture[str]) -> None:
-    asked = [*words(folder, "b.stl"), "-o", str(folder / "out.db"), "--scheduler", scheduler]
+def test_the_command_on_a_cluster_of_its_own(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = [*words(folder, "b.stl"), "-o", str(folder / "out.db"), "--scheduler", "local", "--workers", "1"]
     assert tuning.cli.run(["compare", *asked]) == 0
     assert "2 of 2 cells on 1 scan" in capsys.readouterr().out
 

@@ -25,6 +25,7 @@ from tuning.compare.batch import run_batch
 from tuning.compare.ledger import APPLICATION_ID, Ledger, Row
 from tuning.compare.local import LocalWorkers
 from tuning.compare.measuring import COST_KEYS, bin_edges_us
+from tuning.compare.plan import plan_cells
 from tuning.compare.ranking import failures, ranks, standings
 from tuning.compare.task import Outcome, Stage, Task, perform
 
@@ -100,8 +101,6 @@ def test_other_inputs_are_other_cells(folder: Path) -> None:
         "scans": [str(folder / "a.stl")], "configs": [str(POLICIES / "fixed_finest.toml")],
         "tools": [str(TOOLS / "point.toml")], "stations": [str(STATIONS / "desktop_1khz.toml")], "motions": ["trace"],
     }  # fmt: skip
-    from tuning.compare.plan import plan_cells
-
     changes = (
         {"scans": [str(folder / "b.stl")]}, {"configs": [str(POLICIES / "fixed_coarse.toml")]},
         {"tools": [str(TOOLS / "ball_1mm.toml")]}, {"stations": [str(STATIONS / "desktop_4khz.toml")]},
@@ -114,7 +113,13 @@ def test_other_inputs_are_other_cells(folder: Path) -> None:
 
 @pytest.fixture
 def environment(folder: Path) -> dict[str, str]:
-    return {**os.environ, "COLUMNS": "80", "HAPTICLOD_CACHE": str(folder / "cache")}
+    """Of a program in which importing JAX fails: comparing needs none of it, in no process."""
+    without = folder / "without_jax"
+    (without / "jax").mkdir(parents=True, exist_ok=True)
+    (without / "jax" / "__init__.py").write_text("raise AssertionError('jax was imported')\n")
+    return {
+        **os.environ, "COLUMNS": "80", "HAPTICLOD_CACHE": str(folder / "cache"), "PYTHONPATH": str(without),
+    }  # fmt: skip
 
 
 def test_kill_9_loses_nothing_and_the_next_run_goes_on(
@@ -145,6 +150,23 @@ def test_kill_9_loses_nothing_and_the_next_run_goes_on(
     expected = {place: feel for place, feel in feels(whole).items() if place[1] != "broken.stl"}
     assert feels(rows) == expected
     assert {path.name for path in folder.iterdir() if "killed" in path.name} == {"killed.db"}
+
+
+def test_ranking_and_exporting_import_no_jax(folder: Path, whole: list[Row], environment: dict[str, str]) -> None:
+    call = [
+        sys.executable,
+        "-m",
+        "tuning.cli",
+        "compare",
+        "-o",
+        str(folder / "whole.db"),
+        "--csv",
+        str(folder / "x.csv"),
+    ]
+    shown = subprocess.run(call, env=environment, capture_output=True, text=True)
+    assert shown.returncode == 3 and "velocity-ours" in shown.stdout and shown.stderr == ""
+    tried = subprocess.run([sys.executable, "-c", "import jax"], env=environment, capture_output=True, text=True)
+    assert "jax was imported" in tried.stderr
 
 
 # What the ledger asks of a cell, without the imports that a real one needs.
@@ -230,6 +252,27 @@ def test_a_worker_that_dies_costs_a_second_try(folder: Path, whole: list[Row]) -
     assert multiprocessing.active_children() == []
 
 
+def test_what_is_counted_needs_no_core_of_its_own_and_comes_out_the_same(folder: Path) -> None:
+    class Watched(Here):
+        def outcomes(self, tasks: list[Task], *, alone: bool) -> Iterator[tuple[Task, Outcome]]:
+            asked.extend((task.cell.station.name, alone) for task in tasks if task.stage is Stage.TIME)
+            return super().outcomes(tasks, alone=alone)
+
+    stations = [str(STATIONS / name) for name in ("paper_2009.toml", "desktop_1khz.toml")]
+    scan, config, tool = folder / "a.stl", POLICIES / "velocity_ours.toml", TOOLS / "point.toml"
+    made = plan_cells([str(scan)], [str(config)], [str(tool)], stations, ["trace"], seconds=1.0)
+    told = []
+    for name in ("first.db", "second.db"):
+        asked: list[tuple[str, bool]] = []
+        with Ledger(folder / name) as ledger:
+            assert run_batch(made, ledger, Watched()).measured == 2
+            (row,) = [row for row in ledger.rows() if row.station == "paper-2009"]
+        assert asked == [("paper-2009", False), ("desktop-1khz", True)]
+        assert row.timing is not None and row.timing["core"] is None and row.timing["basis"].startswith("counted")
+        told.append((row.timing["metrics"], row.timing["histograms"]))
+    assert told[0] == told[1]
+
+
 def test_what_other_code_measured_is_not_kept(folder: Path) -> None:
     class Changed(Here):
         def outcomes(self, tasks: list[Task], *, alone: bool) -> Iterator[tuple[Task, Outcome]]:
@@ -278,6 +321,35 @@ def test_failing_cells_are_named_and_do_not_stop_the_rest(
     held = pyarrow.parquet.read_table(tmp_path / "out.parquet").to_pylist()
     assert [str(row["felt_error_jnd"]) for row in held[:4]] == [row["felt_error_jnd"] for row in flat[:4]]
     assert held[4]["felt_error_jnd"] is None and held[4]["error"] == flat[4]["error"]
+
+
+def test_one_bad_scan_among_fifty(
+    folder: Path, whole: list[Row], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A run of the command over fifty files: 49 that measure as a globe did, and one that is no mesh."""
+    for number in range(49):
+        (tmp_path / f"{number:02}.stl").write_bytes((folder / "a.stl").read_bytes())
+    (tmp_path / "31a.stl").write_bytes(b"junk")
+    done = {row.config: row for row in whole if row.scan == "a.stl"}
+
+    class Remembered(Here):
+        def outcomes(self, tasks: list[Task], *, alone: bool) -> Iterator[tuple[Task, Outcome]]:
+            for task in tasks:
+                row = done[task.cell.config_name]
+                known = Outcome(row.feel if task.stage is Stage.FEEL else row.timing, code=row.code)
+                yield task, perform(task) if task.cell.scan.name == "31a.stl" else known
+
+    monkeypatch.setattr("tuning.commands.compare._executor", lambda scheduler, workers: Remembered())
+    asked = words(tmp_path, "*.stl")
+    asked.remove(str(POLICIES / "velocity_ours.toml"))
+    assert tuning.cli.run(["compare", *asked, "-o", str(tmp_path / "fifty.db")]) == 3
+    shown = capsys.readouterr()
+    (named,) = [line for line in shown.out.splitlines() if line.startswith("31a.stl")]
+    assert named.startswith("31a.stl: fixed-finest with point: ") and "49 of 50 cells on 50 scans" in shown.out
+    assert "49 cells measured, 0 were done before, 1 failed" in shown.err
+    assert [line.split()[1:3] for line in shown.out.splitlines() if line.startswith("fixed-finest")] == [
+        ["1.00", "49/49"]
+    ]
 
 
 def refused(capsys: pytest.CaptureFixture[str], *asked: object) -> str:

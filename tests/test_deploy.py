@@ -33,7 +33,7 @@ def station(sshd: LoopbackStation) -> Iterator[LoopbackStation]:
     trusted.chmod(0o644)
     yield sshd
     subprocess.run(["rm", "-rf", sshd.root], check=True)
-    for name in ("service", "full", "unfit", "broken", "systemctl.log"):
+    for name in ("service", "full", "filling", "unfit", "broken", "systemctl.log"):
         (sshd.folder / name).unlink(missing_ok=True)
 
 
@@ -175,6 +175,22 @@ def test_keys_hosts_space_and_rights(
     options = ["--ssh-config", str(station.ssh_config), "--station", str(station.program)]
     assert tuning.cli.run(["deploy", str(bundles[0]), "station", "--root", "/proc/hapticlod", *options]) == 2
     assert "/proc" in capsys.readouterr().err  # nobody may write there
+
+
+@pytest.mark.parametrize(("program", "said"), [("tar", "did not arrive whole"), ("cp", "is there space?")])
+def test_a_disk_that_fills_up_on_the_way_changes_nothing(
+    station: LoopbackStation, bundles: list[Path], capsys: pytest.CaptureFixture[str], program: str, said: str
+) -> None:
+    station.flag("filling", program)
+    assert said in refused(station, capsys, bundles[0], "station")
+    assert not list(station.root.glob("incoming.*"))
+
+
+def test_trust_that_has_expired_on_the_station(
+    station: LoopbackStation, bundles: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (station.root / "trusted_keys").write_text(f"{TEST_KEY.public_line} until=2001-01-01\n")
+    assert "whose trust has expired" in refused(station, capsys, bundles[0], "station")
 
 
 def test_unsigned_bundles_need_the_flag_and_trust_can_be_sent(

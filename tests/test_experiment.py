@@ -94,6 +94,21 @@ def test_the_old_machine_just_misses_where_it_was_assumed_to() -> None:
     assert means_us[0] < 900.0 < means_us[1] < 1100.0 < means_us[2]
 
 
+def test_cut_short_the_tool_stays_behind_where_the_loop_breaks_down() -> None:
+    """80 000 triangles at 200 mm/s: solved to the end a plane pushes straight up, however late; cut short it drags."""
+    config = load_config(shipped_config("levels/paper_plane_80000.toml"))
+    scan = plane(80000)
+    level = mesh_level(scan, scan.centre_mm, config.levels[0].cell_mm)
+    slow = load_station(shipped_config("stations/paper_2009.toml")).adjusted(slowdown=1130.0, slowdown_reason="test")
+    along = {}
+    for cut_short in (False, True):
+        motion = slide_on_plane(200.0, 1.5)
+        loop = run_late([level], config, scan.centre_mm, motion, point(), slow, cut_short=cut_short)
+        assert loop.rate_hz < 100.0
+        along[cut_short] = np.abs(loop.felt_n[:, :2]).max()
+    assert along[False] < 1e-6 and along[True] > 1.0
+
+
 def test_the_command_draws_figures_and_writes_their_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["experiment", "sphere", "--seconds", "1", "--slowdown", "500"]
     assert tuning.cli.run([*words, "-o", str(tmp_path / "once")]) == 0

@@ -47,6 +47,7 @@ def c_fields(struct: str) -> np.dtype:
         ("HashHeader", layout.HASH_DTYPE, _runtime.HASH_SIZE),
         ("Brick", layout.BRICK_DTYPE, _runtime.BRICK_SIZE),
         ("TriBlock", layout.BLOCK_DTYPE, _runtime.BLOCK_SIZE),
+        ("BlockBound", layout.BOUND_DTYPE, _runtime.BOUND_SIZE),
         ("Material", layout.MATERIAL_DTYPE, _runtime.MATERIAL_SIZE),
     ],
 )

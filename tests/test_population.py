@@ -13,8 +13,9 @@ from hapticlod.config import Level, LodConfig
 from hapticlod.errors import InputError
 from hapticlod.surrogate.surrogate import predict_members
 from tuning import population
+from tuning.objective import disturbance
 from tuning.population import check_over, measured_each, measured_over, over_motions
-from tuning.search import Limits, Search, disturbance
+from tuning.search import Limits, Search
 from tuning.space import decode
 
 MOTIONS = 2

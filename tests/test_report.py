@@ -1,10 +1,12 @@
 """The page: self-contained, complete, safe with any name; its mesh read back by an independent reader."""
 
 import base64
+import contextlib
 import errno
 import json
 import os
 import re
+import sqlite3
 import zlib
 from html.parser import HTMLParser
 from pathlib import Path
@@ -208,6 +210,7 @@ def test_a_scan_of_its_own_for_the_view(folder: Path, page: Page, capsys: pytest
         (["globe.hlod", "-o", "x.html", "--front", "notes.txt"], "is no JSON"),
         (["globe.hlod", "-o", "x.html", "--quality", "front.json"], "has no 'metrics'"),
         (["empty.db", "-o", "x.html"], "holds no cell yet"),
+        (["newer.db", "-o", "x.html"], "newer HapticLOD (ledger version 99"),
     ],
 )
 def test_bad_input(
@@ -216,7 +219,11 @@ def test_bad_input(
 ) -> None:  # fmt: skip
     monkeypatch.chdir(folder)
     Path("notes.txt").write_text("mine " * 100)
-    Ledger(Path("empty.db")).close()
+    for name, version in (("empty.db", 1), ("newer.db", 99)):
+        Path(name).unlink(missing_ok=True)
+        Ledger(Path(name)).close()
+        with contextlib.closing(sqlite3.connect(name)) as base:
+            base.execute(f"PRAGMA user_version = {version}")
     assert tuning.cli.run(["report", *words]) == 2
     shown = capsys.readouterr()
     assert expected in shown.err and len(shown.err.splitlines()) == 1 and shown.out == ""

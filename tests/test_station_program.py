@@ -16,9 +16,11 @@ import numpy as np
 import pytest
 from plate_bundle import plate_motion, plate_parts, rendered, run_station, station_program
 
+import tuning.cli
 from hapticlod.bundle import write_bundle
 from hapticlod.layout import RECORD_DTYPE
 from hapticlod.motion import load_motion, save_motion
+from hapticlod.motion.recording_mcap import recorded_ticks
 
 AXES = "xyz"
 
@@ -95,6 +97,24 @@ def test_replay_resamples_and_says_so(bundle_path: Path, tmp_path: Path) -> None
     record = read_record(tmp_path / "out.csv")
     assert len(record) == 491
     assert np.abs(record["hip_mm"][:, 0] - np.sin(record["time_s"])).max() < 1e-4
+
+
+def test_recordings_are_converted_before_they_are_replayed(bundle_path: Path, tmp_path: Path) -> None:
+    recording, motion, out = tmp_path / "run.mcap", tmp_path / "motion.csv", tmp_path / "out.csv"
+    words = ("run", bundle_path, "--device", "sim", "--seconds", "0.2", "--virtual-time")
+    assert run_station(*words, "--record", recording).returncode == 0
+    for refused in (("replay", bundle_path, recording, out), (*words, "--motion", recording)):
+        result = run_station(*refused)
+        assert result.returncode == 2 and result.stdout == ""
+        assert "run.mcap: is a recording (MCAP), not a motion CSV; convert it: " in result.stderr
+        assert len(result.stderr.splitlines()) == 1
+    remedy = result.stderr.split("convert it: hapticlod ")[1].split()
+    assert remedy == ["recording", str(recording), "--motion", "--out", "motion.csv"]
+    assert tuning.cli.run([*remedy[:-1], str(motion)]) == 0
+    assert run_station("replay", bundle_path, motion, out).returncode == 0
+    hand = np.array([list(tick["position_mm"].values()) for tick in recorded_ticks(recording)])
+    assert len(hand) == 200
+    assert np.array_equal(read_record(out)["hip_mm"], hand)
 
 
 def test_run_in_simulated_time(bundle_path: Path) -> None:

@@ -1,6 +1,8 @@
 """`hapticlod-station qualify`, `doctor` and `calibrate`: what they say, and what their files hold."""
 
+import hashlib
 import json
+import platform
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +35,10 @@ def test_what_was_tuned_elsewhere_qualifies_here(parts: dict[str, Any], tmp_path
     said = json.loads((tmp_path / "certificate.json").read_text())
     assert said["forces_equal"] and said["worst_force_difference_n"] == 0  # to the last bit
     assert said["ticks"] == 300 and said["budget_us"] == 1000.0
+    # Which file, which program and which machine it is about.
+    assert said["bundle_blake2b_256"] == hashlib.blake2b(bundle.read_bytes(), digest_size=32).hexdigest()
+    assert said["host"] == platform.node() and said["kernel"].startswith(platform.release())
+    assert said["program"] == run_station("--version").stdout.strip()
     assert 0 < said["cost_p50_us"] <= said["cost_p99_us"] <= said["cost_p999_us"] <= said["cost_max_us"]
     assert said["passed"] == said["in_time"] == (said["cost_p999_us"] <= 1000.0)  # a starved machine may fail: rightly
     assert result.returncode == (0 if said["passed"] else 1)

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hapticlod.station import Station
-from tuning.explore import Candidate, cost_us, holds
+from tuning.explore import Candidate, cost_us
+from tuning.objective import holds
 from tuning.verify import Verifier
 
 # A level more must be worth this, JND: of two that feel alike the simpler is told.

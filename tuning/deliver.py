@@ -17,6 +17,7 @@ from hapticlod.scene import Scene
 
 if TYPE_CHECKING:
     from hapticlod.config import LodConfig
+    from hapticlod.ladder import Ladder
     from hapticlod.motion import Motion
     from hapticlod.scan import Scan
     from hapticlod.signature import Key
@@ -25,10 +26,13 @@ if TYPE_CHECKING:
     from tuning.tune import TuneResult
 
 
-def document(result: TuneResult) -> dict[str, Any]:
-    """The tuned configuration with its predicted and measured numbers, as JSON types.
+def document(result: TuneResult, scan: Scan) -> dict[str, Any]:
+    """The tuned configuration with its predicted and measured numbers, as JSON types; what was mended of the scan.
 
     A metric that has no value (the hit rate of mappings that never happened) is null.
+
+    Args:
+        scan: as it was loaded. The ladder's own may be another file's that needed other repairs to become the same.
     """
     config = as_built(result)
     levels = [{"triangles": x.triangles, "cell_mm": x.cell_mm, "balls": x.balls} for x in config.levels]
@@ -56,7 +60,26 @@ def document(result: TuneResult) -> dict[str, Any]:
         "population": result.population,
         "sensitivities": result.sensitivities,
         "explanation": result.explanation,
+        "repair": scan.report.to_dict(),
+        "ladder": ladder_document(result.ladder),
     }
+
+
+def ladder_document(ladder: Ladder) -> dict[str, Any]:
+    """Every rung's size and what it lost, as JSON types."""
+    rungs = [
+        {
+            "triangles": rung.triangles,
+            "asked": rung.asked,
+            "rms_mm": rung.rms_mm,
+            "hausdorff_mm": rung.hausdorff_mm,
+            "turned_part": rung.deviation.turned_part,
+            "area_part": rung.area_mm2 / ladder.rungs[0].area_mm2,
+            "components": rung.components,
+        }
+        for rung in ladder.rungs
+    ]
+    return {"rungs": rungs, "notes": list(ladder.notes)}
 
 
 def as_built(result: TuneResult) -> LodConfig:
@@ -85,7 +108,7 @@ def write_tuned(
         (motion, replay_levels(levels, config, scan.centre_mm, motion, tool, station, 1)) for motion in result.motions
     ]
     golden, record = max(shown, key=lambda pair: _variety(pair[1]))
-    told = document(result)
+    told = document(result, scan)
     del told["stages_s"]  # times of this run: the same answer is to give the same file
     write_bundle(
         path,

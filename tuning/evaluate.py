@@ -27,8 +27,9 @@ from hapticlod.config import LodConfig
 from hapticlod.metrics import METRIC_KEYS, measure
 from hapticlod.replay import Record
 from hapticlod.station import Station
+from tuning.objective import objective
 from tuning.prepare import Prepared
-from tuning.search import Limits, Search, objective
+from tuning.search import Limits, Search
 from tuning.verify import Verifier, clock_metrics
 
 OBJECTIVE = "objective"

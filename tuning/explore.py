@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hapticlod.config import LodConfig
 from hapticlod.station import Station
+from tuning.objective import holds
 from tuning.prepare import Prepared, Stages
 from tuning.search import Found, Limits, Search
 from tuning.sensitivity import Optimum
@@ -36,11 +37,6 @@ class Candidate:
     objective: float
     feasible: bool
     optimum: Optimum | None = None
-
-
-def holds(metrics: Mapping[str, float], station: Station) -> bool:
-    """Whether budget and memory hold."""
-    return metrics["loop_cost_p999_us"] <= station.budget_us and metrics["memory_mb"] <= station.memory_mb
 
 
 def cost_us(candidate: Candidate) -> float:

@@ -7,19 +7,21 @@ the old entry is simply never asked for again. A damaged or foreign entry counts
 from __future__ import annotations
 
 import hashlib
+import os
 import pickle
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from hapticlod import _runtime
-from hapticlod.files import write_atomic
+from hapticlod.files import atomic_stream
 from tuning.user_cache import cache_folder
 
 _MAGIC = b"HapticLOD kept 1\n"
 # Code whose change makes kept results stale.
 _SOURCES = ("hapticlod", "tuning")
 _MOST_BYTES = 4 << 30
+_DIGEST_BYTES = 16
 
 
 def key_of(*parts: Any) -> str:
@@ -43,36 +45,63 @@ def code_digest() -> str:
 def load(kind: str, key: str) -> Any | None:
     """The entry, or None where there is none that can be read."""
     path = _path(kind, key)
-    try:
-        data = path.read_bytes()
-    except OSError:
-        return None
     head = _MAGIC + key.encode() + b"\n"
-    if not data.startswith(head):
-        return None
-    body, digest = data[len(head) : -16], data[-16:]
-    if hashlib.blake2b(body, digest_size=16).digest() != digest:
-        return None
     try:
-        # The folder is the user's own: what is in it is as trusted as the program itself.
-        value = pickle.loads(body)
+        with path.open("rb") as stream:
+            if stream.read(len(head)) != head:
+                return None
+            left = os.fstat(stream.fileno()).st_size - len(head) - _DIGEST_BYTES
+            if _digest_of(stream, left) != stream.read(_DIGEST_BYTES):
+                return None
+            stream.seek(len(head))
+            # The folder is the user's own: what is in it is as trusted as the program itself.
+            value = pickle.load(stream)
+        path.touch()  # newest use last: `trim` drops the others first
     except Exception:  # an entry of another version may fail in any way; it is then as good as absent
         return None
-    path.touch()  # newest use last: `trim` drops the others first
     return value
 
 
 def store(kind: str, key: str, value: Any) -> None:
-    """Keeps an entry; where there is no place to, nothing happens."""
-    body = pickle.dumps(value, protocol=5)
-    data = _MAGIC + key.encode() + b"\n" + body + hashlib.blake2b(body, digest_size=16).digest()
+    """Keeps an entry; where there is no place to, nothing happens.
+
+    It is written as it is pickled: that of five million triangles is a gigabyte.
+    """
     path = _path(kind, key)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, data)
+        with atomic_stream(path) as stream:
+            stream.write(_MAGIC + key.encode() + b"\n")
+            through = _Hashing(stream)
+            pickle.dump(value, through, protocol=5)  # pyright: ignore[reportArgumentType]  # it needs `write` alone
+            stream.write(through.digest())
         trim(path.parent)
     except Exception:  # a full or read-only disk must not stop a tuning run
         return
+
+
+class _Hashing:
+    """Passes what is written on, and hashes it."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._hasher = hashlib.blake2b(digest_size=_DIGEST_BYTES)
+
+    def write(self, data: Any) -> int:
+        self._hasher.update(data)
+        return self._stream.write(data)
+
+    def digest(self) -> bytes:
+        return self._hasher.digest()
+
+
+def _digest_of(stream: BinaryIO, count: int) -> bytes:
+    """Of the next `count` bytes."""
+    hasher = hashlib.blake2b(digest_size=_DIGEST_BYTES)
+    while count > 0 and (block := stream.read(min(count, 1 << 20))):
+        hasher.update(block)
+        count -= len(block)
+    return hasher.digest()
 
 
 def trim(folder: Path, most_bytes: int = _MOST_BYTES) -> None:

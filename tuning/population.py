@@ -15,6 +15,7 @@ from hapticlod.config import LodConfig
 from hapticlod.errors import InputError
 from hapticlod.metrics import measure
 from tuning import kept
+from tuning.objective import disturbance, objective
 from tuning.verify import Verifier
 
 POOLED, MEAN, WORST = "pooled", "mean", "worst"
@@ -57,8 +58,6 @@ def measured_over(disturbances: list[float], over: str) -> float:
 
 def measured_objective(verifier: Verifier, config: LodConfig, metrics: dict[str, float], over: str) -> float:
     """What is minimised, by what was measured: `metrics` are the configuration's over all motions together."""
-    from tuning.search import disturbance, objective
-
     pooled = float(objective(metrics, verifier.station.budget_us))
     if over == POOLED:
         return pooled

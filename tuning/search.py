@@ -18,15 +18,12 @@ from numpy.typing import NDArray
 from hapticlod.surrogate.measurement import LadderMeasurement
 from hapticlod.surrogate.surrogate import predict_members
 from tuning.compile_cache import compiled
+from tuning.objective import COST_WEIGHT, disturbance, objective
 from tuning.optimise import SequentialQuadratic
 from tuning.population import POOLED, over_motions
 from tuning.sample import threads
 from tuning.space import Space, decode
 
-# One noticed jump per second weighs as much as one JND of felt error. Needs people; a preset of the preference.
-DISCONTINUITY_WEIGHT = 1.0
-# Ties go to less work: a hundredth of a JND for a budget's worth of mean cost.
-COST_WEIGHT = 0.01
 SCREENED, STARTS = 24, 4  # points looked at per level count, and those of them that are searched from
 MARGIN = 0.98  # of the budget that the surrogate may use
 # Switching is sharpened in stages: a soft trigger sees further, a sharp one counts right (PERCEPTION.md section 2).
@@ -86,19 +83,6 @@ class Problem(eqx.Module):
     row_limits: Float[Array, " p"]
     over: str = eqx.field(static=True)
     motions: int = eqx.field(static=True)
-
-
-def objective(metrics: Any, budget_us: Any) -> Any:
-    """What is minimised: felt error plus noticed jumps, and a trace of cost to settle ties."""
-    return (
-        disturbance(metrics["felt_error_jnd"], metrics["discontinuity_per_s"])
-        + COST_WEIGHT * metrics["loop_cost_mean_us"] / budget_us
-    )
-
-
-def disturbance(felt_error_jnd: Any, discontinuity_per_s: Any) -> Any:
-    """What is felt of a configuration: the objective without its trace of cost."""
-    return felt_error_jnd + DISCONTINUITY_WEIGHT * discontinuity_per_s
 
 
 def _metrics(

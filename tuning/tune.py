@@ -20,7 +20,8 @@ from tuning.baselines import baselines as baseline_configs
 from tuning.compile_cache import keep_compiled
 from tuning.confirm import Clock, merit
 from tuning.explain import explain
-from tuning.explore import Candidate, Judge, cost_us, explore, holds, limits_of
+from tuning.explore import Candidate, Judge, cost_us, explore, limits_of
+from tuning.objective import holds
 from tuning.population import POOLED, check_over, measured_each, measured_objective
 from tuning.prepare import Prepared, Progress, Stages, prepare
 from tuning.sample import Costing

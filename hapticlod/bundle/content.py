@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from hapticlod.layout import (
+    BOUND_DTYPE,
     CONFIG_VERSION,
     MAPPED_MISS,
     MAPPING_TWO_SIDED,
@@ -41,6 +42,7 @@ _RANGES: Final = {
     "work_limit": (0.0, 1e12),
 }
 _MOST_COORDINATE_MM: Final = np.float32(1e9)
+_MOST_ELEMENTS: Final = 1 << 30
 _BLOCKS_AT_ONCE: Final = 1 << 16  # bounds the memory that comparing blocks with the mesh takes
 
 
@@ -105,6 +107,8 @@ def mesh_fault(vertices: np.ndarray, faces: np.ndarray) -> str:
     """`vertices` (n, 3), `faces` (m, 3)."""
     if not len(vertices) or not len(faces):
         return "has no vertices or no faces"
+    if max(len(vertices), len(faces)) >= _MOST_ELEMENTS:
+        return "has more than 2^30 faces or vertices"
     if not (np.abs(vertices) <= _MOST_COORDINATE_MM).all():
         return "a vertex is not finite or beyond 10^9 mm"
     return "a face index is out of range" if (faces >= len(vertices)).any() else ""
@@ -186,6 +190,25 @@ def _bricks_fault(head: Any, bricks: np.ndarray, cells: np.ndarray) -> str:
     if cells[0] != 0 or cells[-1] != head["block_count"]:
         return "the cells do not own all blocks"
     return "a cell's blocks are out of order" if (cells[1:] <= cells[:-1]).any() else ""
+
+
+def bounds_fault(bounds: np.ndarray, blocks: np.ndarray) -> str:
+    """`bounds` (n,) of BOUND_DTYPE, `blocks` (n,) of BLOCK_DTYPE: every block within its disc."""
+    for start in range(0, len(blocks), _BLOCKS_AT_ONCE):
+        part = bounds[start : start + _BLOCKS_AT_ONCE]
+        x, y, z, radius, nx, ny, nz, half = (
+            part[name].astype(np.float64)[:, None, None] for name in BOUND_DTYPE.names or ()
+        )
+        with np.errstate(over="ignore", invalid="ignore"):
+            disc = (np.abs(nx * nx + ny * ny + nz * nz - 1.0) <= 1e-5) & (radius >= 0)
+            if not (disc & np.isfinite(radius) & np.isfinite(half)).all():
+                return "a block's bound is no disc"
+            corners = blocks["v"][start : start + _BLOCKS_AT_ONCE].astype(np.float64).reshape(-1, 3, 3, 8)
+            x, y, z = corners[:, :, 0] - x, corners[:, :, 1] - y, corners[:, :, 2] - z
+            inside = (x * x + y * y + z * z <= radius * radius) & (np.abs(nx * x + ny * y + nz * z) <= half)
+        if not inside.all():
+            return "a block reaches beyond its bound"
+    return ""
 
 
 def brick_hash(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:

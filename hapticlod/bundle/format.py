@@ -9,6 +9,7 @@ import numpy as np
 from hapticlod.layout import (
     BALL_DTYPE,
     BLOCK_DTYPE,
+    BOUND_DTYPE,
     BRICK_DTYPE,
     CONFIG_DTYPE,
     HASH_DTYPE,
@@ -84,6 +85,7 @@ class SectionType(IntEnum):
     CELLS = 23
     BLOCKS = 24
     MATERIALS = 25
+    BOUNDS = 30
     GOLDEN_MOTION = 32
     GOLDEN_RECORD = 33
     SIGNATURE = 48
@@ -111,6 +113,7 @@ ELEMENT: Final[dict[SectionType, np.dtype[Any]]] = {
     SectionType.CELLS: np.dtype("<u4"),
     SectionType.BLOCKS: BLOCK_DTYPE,
     SectionType.MATERIALS: MATERIAL_DTYPE,
+    SectionType.BOUNDS: BOUND_DTYPE,
     SectionType.GOLDEN_MOTION: MOTION_DTYPE,
     SectionType.GOLDEN_RECORD: RECORD_DTYPE,
     SectionType.SIGNATURE: np.dtype("u1"),
@@ -119,7 +122,7 @@ ELEMENT: Final[dict[SectionType, np.dtype[Any]]] = {
 
 def is_optional(kind: SectionType) -> bool:
     """Whether a reader that does not know the section may skip it."""
-    return kind in ACCELERATION or kind >= SectionType.GOLDEN_MOTION
+    return kind in ACCELERATION or kind >= SectionType.BOUNDS
 
 
 def aligned(offset: int) -> int:

@@ -124,6 +124,7 @@ def read_bundle(path: str | Path) -> Bundle:
         owner = "part" if parts else "level of the config"
         raise InputError(name, f"{stray[0]} belongs to no {owner}", WRITE_AGAIN)
     levels = tuple(_level(reader, number, *mesh) for number, mesh in enumerate(meshes))
+    _check_bounds(reader, levels)
     motion, record = _golden(reader, manifest, float(config["loop_hz"]), count)
     return Bundle(
         path=Path(path),
@@ -229,6 +230,22 @@ def _level(reader: _Reader, number: int, triangles: int, cell_mm: float) -> Bund
     elif not (cell_mm > 0 and np.isfinite(cell_mm)):
         reader.refuse(where, "cell_mm is not positive and finite")
     return BundleLevel(vertices, faces, cell_mm, acceleration, materials)
+
+
+def _check_bounds(reader: _Reader, levels: tuple[BundleLevel, ...]) -> None:
+    """Bounds of blocks speed the runtime up; nothing here uses them. Of no use where a level is to be rebuilt."""
+    if not reader.has(SectionType.BOUNDS):
+        return
+    bounds = reader.array(SectionType.BOUNDS)
+    blocks = [level.acceleration["blocks"] for level in levels if level.acceleration is not None]
+    if len(blocks) < len(levels):
+        return
+    if len(bounds) != sum(map(len, blocks)):
+        raise InputError(reader.path, "section BOUNDS and the blocks of all levels differ in number", WRITE_AGAIN)
+    start = 0
+    for number, part in enumerate(blocks):
+        reader.refuse(f"level {number}", content.bounds_fault(bounds[start : start + len(part)], part))
+        start += len(part)
 
 
 def _golden(

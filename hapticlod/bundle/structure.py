@@ -129,6 +129,8 @@ def _entry_fault(section: Section, flags: int, end: int, file_bytes: int, most_l
         return "reaches beyond the file"
     if flags & ~OPTIONAL:
         return "has unknown flags"
-    if section.level >= most_levels or (section.level and section.type not in LEVEL_SECTIONS):
+    # A type that is not known here may be one of levels.
+    of_no_level = section.type in set(SectionType) and section.type not in LEVEL_SECTIONS
+    if section.level >= most_levels or (section.level and of_no_level):
         return "has a wrong level"
     return ""

@@ -38,7 +38,7 @@ class LevelLike(Protocol):
 
     def arrays(self) -> Mapping[str, Any]:
         """Buffers by section name: vertices, faces, adjacency, normals, hash, table, bricks, cells, blocks; materials
-        where there are any."""
+        where there are any; bounds, without which opening takes longer."""
         ...
 
 
@@ -166,8 +166,10 @@ def _sections(
             raise ValueError(fault)
         sections.append((SectionType.PARTS, 0, rows.tobytes()))
         stored = [level for part in own for level in part]
+    bounds: list[Any] = []
     for number, level in enumerate(stored):
         arrays = level.arrays()
+        bounds.append(arrays.get("bounds"))
         faces = memoryview(arrays["faces"]).nbytes // 12
         if not parts and faces != int(settings["triangles"][0][number]):
             raise ValueError(
@@ -175,6 +177,8 @@ def _sections(
             )
         kinds = [kind for kind in LEVEL_SECTIONS if kind != SectionType.MATERIALS or "materials" in arrays]
         sections += [(kind, number, _buffer(arrays[kind.name.lower()])) for kind in kinds]
+    if all(part is not None for part in bounds):
+        sections.append((SectionType.BOUNDS, 0, b"".join(_buffer(part) for part in bounds)))
     if (golden_motion is None) != (golden_record is None):
         raise ValueError("give a golden motion and its record, or neither")
     if golden_motion is not None and golden_record is not None:

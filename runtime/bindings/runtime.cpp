@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "core/kernels.hpp"
+#include "core/occupancy.hpp"
 #include "core/renderer.hpp"
 
 namespace nb = nanobind;
@@ -73,6 +74,9 @@ nb::dict level_arrays(const Level& level) {
     put("vertices", v.vertices), put("faces", v.faces), put("adjacency", v.adjacency), put("normals", v.normals);
     out["hash"] = as_bytes(v.hash, sizeof(*v.hash));
     put("table", v.table), put("bricks", v.bricks), put("cells", v.cells), put("blocks", v.blocks);
+    std::vector<hapticlod::BlockBound> bounds;
+    for (const hapticlod::TriBlock& block : v.blocks) bounds.push_back(hapticlod::bound_of(block));
+    put("bounds", std::span(bounds));
     if (!v.materials.empty()) put("materials", v.materials);
     return out;
 }
@@ -227,6 +231,7 @@ NB_MODULE(_runtime, m) {
     m.attr("HASH_SIZE") = sizeof(hapticlod::HashHeader);
     m.attr("BRICK_SIZE") = sizeof(hapticlod::Brick);
     m.attr("BLOCK_SIZE") = sizeof(hapticlod::TriBlock);
+    m.attr("BOUND_SIZE") = sizeof(hapticlod::BlockBound);
     m.attr("MATERIAL_SIZE") = sizeof(hapticlod::Material);
     m.def(
         "kernels", [] { return hapticlod::best_kernels().name; }, "Name of the kernels in use on this processor.");

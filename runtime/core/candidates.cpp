@@ -29,7 +29,7 @@ void Candidates::allocate(const ToolTree& tree, std::size_t balls) {
     last_pairs_.resize(kMaxBlocks);
     keys_.resize(kMaxBlocks);
     last_keys_.resize(kMaxBlocks);
-    listed_bounds_.resize(kMaxBlocks + ActiveLevel::kBoundsBeyond);
+    listed_bounds_.resize(kMaxBlocks + 7);  // kernels read eight at a time
     evaluations_.resize(kMaxBlocks);
     free_.resize(kMaxBlocks);
     table_.assign(kTable, {});
@@ -250,8 +250,7 @@ bool Candidates::gather_one(std::uint32_t place, double reach, TickCounters& cou
         const LevelView& level = surface_->view;
         for_cells(centre, outer, counters, [&](const Brick& brick, int bit, double) {
             ++counters.cells;
-            const std::uint64_t below = brick.mask & ((std::uint64_t{1} << bit) - 1);
-            const std::uint32_t cell = brick.first_cell + static_cast<std::uint32_t>(std::popcount(below));
+            const std::uint32_t cell = cell_of(brick, bit);
             const std::uint32_t from = level.cells[cell], end = level.cells[cell + 1];
             counters.triangles += 8 * (end - from);
             for (std::uint32_t b = from; b < end;) {
@@ -301,8 +300,7 @@ bool Candidates::gather_balls(std::uint32_t index, double reach, TickCounters& c
         const LevelView& level = surface_->view;
         for_cells(centre, outer, counters, [&](const Brick& brick, int bit, double) {
             ++counters.cells;
-            const std::uint64_t below = brick.mask & ((std::uint64_t{1} << bit) - 1);
-            const std::uint32_t cell = brick.first_cell + static_cast<std::uint32_t>(std::popcount(below));
+            const std::uint32_t cell = cell_of(brick, bit);
             const std::uint32_t end = level.cells[cell + 1];
             counters.triangles += 8 * (end - level.cells[cell]);
             for (std::uint32_t from = level.cells[cell]; from < end; from += kChunk) {

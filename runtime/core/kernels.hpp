@@ -23,14 +23,6 @@ struct alignas(32) BallPack {
     float kept[8];
 };
 
-// A block's triangles lie in this ball and in this slab: |p - centre| <= radius, |normal.(p - centre)| <= half. So they
-// lie in a disc along the normal. On a smooth surface that says almost exactly how far a ball is above it. Most blocks
-// are passed over by this alone.
-struct alignas(32) BlockBound {
-    float x, y, z, radius;
-    float nx, ny, nz, half;
-};
-
 struct Kernels {
     const char* name;
     // Separating planes and clearances of a ball at shift + residual (the float nearest to its centre, and what that

@@ -115,6 +115,15 @@ struct alignas(64) TriBlock {
 };
 static_assert(sizeof(TriBlock) == 320);
 
+// A block's triangles lie in this ball and in this slab: |p - centre| <= radius, |normal.(p - centre)| <= half. So they
+// lie in a disc along the normal. On a smooth surface that says almost exactly how far a ball is above it. Most blocks
+// are passed over by this alone.
+struct alignas(32) BlockBound {
+    float x, y, z, radius;
+    float nx, ny, nz, half;
+};
+static_assert(sizeof(BlockBound) == 32);
+
 // 4 x 4 x 4 cells. Bit (x + 4 y + 16 z) of mask is set where the cell holds triangles; the k-th set bit's cell is
 // cells[first_cell + k]. Cell c owns blocks[cells[c] .. cells[c + 1]).
 struct Brick {

@@ -3,6 +3,7 @@
 // The paper's LODNode (Zhou et al. 2009, section 2.1) carries the same six things: mesh, mesh-voxel relation,
 // vertex normals, face normals (computed from the mesh), vertex adjacency (faces around), face adjacency.
 #pragma once
+#include <bit>
 #include <cstdint>
 #include <span>
 #include <string>
@@ -12,6 +13,8 @@
 #include "core/morton.hpp"
 
 namespace hapticlod {
+
+inline constexpr std::size_t kMostElements = 0x3fffffffu;  // faces or vertices of a level
 
 struct LevelView {
     std::span<const float> vertices;           // 3 per vertex, mm relative to ConfigData::origin_mm
@@ -23,6 +26,7 @@ struct LevelView {
     std::span<const Brick> bricks;
     std::span<const std::uint32_t> cells;  // cell_count + 1
     std::span<const TriBlock> blocks;
+    std::span<const BlockBound> bounds;   // one per block, or none: then whoever uses the level computes them
     std::span<const Material> materials;  // one per vertex, or none: then everything is the station's
 
     [[nodiscard]] std::uint32_t triangle_count() const { return static_cast<std::uint32_t>(faces.size() / 3); }
@@ -45,6 +49,12 @@ inline const Brick* find_brick(const LevelView& level, std::int32_t x, std::int3
     }
 }
 
+// Where the cell of this bit is in LevelView::cells: the brick's cells follow each other in the order of their bits.
+inline std::uint32_t cell_of(const Brick& brick, int bit) {
+    const std::uint64_t below = brick.mask & ((std::uint64_t{1} << bit) - 1);
+    return brick.first_cell + static_cast<std::uint32_t>(std::popcount(below));
+}
+
 // Owns a level built from a mesh. Building allocates; nothing after it does.
 class LevelStorage {
 public:
@@ -65,8 +75,19 @@ private:
     HashHeader header_{};
 };
 
-// Checks structure AND content of a view whose arrays come from a file: sizes agree, indices in range, numbers
-// finite, cells and blocks inside bounds, every table slot valid. Empty string: usable.
-[[nodiscard]] std::string check_level(const LevelView& view);
+// Finite, and within 10^9 mm.
+[[nodiscard]] std::string check_vertices(std::span<const float> vertices);
+
+// Checks of a view whose arrays come from a file; empty string: usable. All of them passed, the tick may trust every
+// index. The first takes no time: sizes agree with each other and with the hash's header, which is valid. The others
+// read every element, each of its own arrays, and hold for any content: they may run at once in several threads, once
+// the first has passed.
+[[nodiscard]] std::string check_level_sizes(const LevelView& view);
+[[nodiscard]] std::string check_level_mesh(const LevelView& view);  // vertices and normals, indices of both
+[[nodiscard]] std::string check_level_hash(const LevelView& view);  // bricks, cells, table
+// Blocks [first, last): the triangles they name, with the mesh's corners.
+[[nodiscard]] std::string check_level_blocks(const LevelView& view, std::size_t first, std::size_t last);
+// Whether each of these blocks, which hold what they should, lies within its stored bound.
+[[nodiscard]] std::string check_bounds(std::span<const TriBlock> blocks, std::span<const BlockBound> bounds);
 
 }  // namespace hapticlod

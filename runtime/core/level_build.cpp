@@ -187,7 +187,7 @@ std::string LevelStorage::build(std::span<const float> vertices, std::span<const
     const std::size_t nv = vertices.size() / 3, nf = faces.size() / 3;
     if (vertices.size() % 3 != 0 || faces.size() % 3 != 0) return "vertices and faces must come in threes";
     if (nf == 0 || nv == 0) return "the mesh has no faces";
-    if (nf > 0x3fffffffu || nv > 0x3fffffffu) return "the mesh has more than 2^30 faces or vertices";
+    if (nf > kMostElements || nv > kMostElements) return "the mesh has more than 2^30 faces or vertices";
     if (!(cell_mm > 0.0) || !std::isfinite(cell_mm)) return "cell_mm must be positive and finite";
     for (const float v : vertices)
         if (!std::isfinite(v)) return "a vertex is not finite";
@@ -294,8 +294,7 @@ std::string LevelStorage::build(std::span<const float> vertices, std::span<const
     std::vector<std::uint32_t> count(cell_count, 0);
     for (Entry& e : entries) {
         const Brick& b = bricks_[rank[e.cell / kBrickCells]];
-        const std::uint64_t below = b.mask & ((std::uint64_t{1} << (e.cell % kBrickCells)) - 1);
-        e.cell = b.first_cell + static_cast<std::uint32_t>(std::popcount(below));
+        e.cell = cell_of(b, static_cast<int>(e.cell % kBrickCells));
         ++count[e.cell];
     }
     cells_.assign(cell_count + 1, 0);
@@ -344,7 +343,7 @@ std::string LevelStorage::set_materials(std::span<const Material> materials) {
 }
 
 LevelView LevelStorage::view() const {
-    return {vertices_, faces_, adjacency_, normals_, &header_, table_, bricks_, cells_, blocks_, materials_};
+    return {vertices_, faces_, adjacency_, normals_, &header_, table_, bricks_, cells_, blocks_, {}, materials_};
 }
 
 }  // namespace hapticlod

@@ -1,19 +1,38 @@
 // Content checks of a level that comes from a file: after them, the tick may trust every index.
+#include <algorithm>
 #include <bit>
 #include <cmath>
 
 #include "core/level.hpp"
-#include "core/material.hpp"
 #include "core/morton.hpp"
 
 namespace hapticlod {
+namespace {
 
-std::string check_level(const LevelView& view) {
+// Whether every element is right. In pieces without an exit, which a compiler makes vectors of: these arrays are
+// hundreds of megabytes.
+template <class T, class Right>
+bool all_right(std::span<const T> values, Right&& right) {
+    constexpr std::size_t kPiece = 4096;
+    while (!values.empty()) {
+        const auto piece = values.first(std::min(kPiece, values.size()));
+        std::uint32_t wrong = 0;
+        for (const T value : piece) wrong |= right(value) ? 0u : 1u;
+        if (wrong != 0) return false;
+        values = values.subspan(piece.size());
+    }
+    return true;
+}
+
+}  // namespace
+
+std::string check_level_sizes(const LevelView& view) {
     if (view.hash == nullptr) return "the hash header is missing";
     const HashHeader& h = *view.hash;
     const std::size_t nv = view.vertices.size() / 3, nf = view.faces.size() / 3;
     if (nv == 0 || view.vertices.size() % 3 != 0) return "the vertex array is empty or not in threes";
     if (nf == 0 || view.faces.size() % 3 != 0) return "the face array is empty or not in threes";
+    if (nv > kMostElements || nf > kMostElements) return "the mesh has more than 2^30 faces or vertices";
     if (view.adjacency.size() != view.faces.size()) return "adjacency and faces differ in size";
     if (view.normals.size() != view.vertices.size()) return "normals and vertices differ in size";
     if (!(h.cell_mm > 0.0) || !std::isfinite(h.cell_mm)) return "cell_mm is not positive and finite";
@@ -33,14 +52,28 @@ std::string check_level(const LevelView& view) {
         !(h.max_edge_mm >= 0.0f))
         return "an edge length is not valid";
     if (!(h.loose_mm >= 0.0f && double{h.loose_mm} <= h.cell_mm)) return "the cells' overhang is not valid";
-    for (const float v : view.vertices)
-        if (!std::isfinite(v)) return "a vertex is not finite";
-    for (const float v : view.normals)
-        if (!(std::abs(v) <= 1.01f)) return "a normal is not a unit vector";
-    for (const std::uint32_t i : view.faces)
-        if (i >= nv) return "a face index is out of range";
-    for (const std::uint32_t i : view.adjacency)
-        if (i >= nf && i != kNoNeighbour) return "a neighbour index is out of range";
+    return {};
+}
+
+std::string check_vertices(std::span<const float> vertices) {
+    const bool right = all_right(vertices, [](float v) { return std::abs(v) <= 1e9f; });
+    return right ? "" : "a vertex is not finite or beyond 10^9 mm";
+}
+
+std::string check_level_mesh(const LevelView& view) {
+    const auto nv = static_cast<std::uint32_t>(view.vertices.size() / 3);
+    const auto nf = static_cast<std::uint32_t>(view.faces.size() / 3);
+    static_assert(kNoNeighbour + 1 == 0);  // so one comparison takes it and every triangle
+    if (std::string reason = check_vertices(view.vertices); !reason.empty()) return reason;
+    if (!all_right(view.normals, [](float v) { return std::abs(v) <= 1.01f; })) return "a normal is not a unit vector";
+    if (!all_right(view.faces, [nv](std::uint32_t i) { return i < nv; })) return "a face index is out of range";
+    if (!all_right(view.adjacency, [nf](std::uint32_t i) { return i + 1 <= nf; }))
+        return "a neighbour index is out of range";
+    return {};
+}
+
+std::string check_level_hash(const LevelView& view) {
+    const HashHeader& h = *view.hash;
     std::uint64_t cells = 0;
     for (const Brick& b : view.bricks) {
         const std::int32_t at[3] = {b.x, b.y, b.z};
@@ -66,17 +99,52 @@ std::string check_level(const LevelView& view) {
         while (view.table[slot] != 0 && view.table[slot] != i + 1) slot = (slot + 1) & (h.table_size - 1);
         if (view.table[slot] == 0) return "a brick cannot be found through the hash table";
     }
-    for (const TriBlock& block : view.blocks) {
+    return {};
+}
+
+std::string check_level_blocks(const LevelView& view, std::size_t first, std::size_t last) {
+    const std::size_t nv = view.vertices.size() / 3, nf = view.faces.size() / 3;
+    for (const TriBlock& block : view.blocks.subspan(first, last - first)) {
         if (block.id[0] >= nf) return "a block's first triangle is out of range";
+        std::uint32_t differs = 0;
         for (int lane = 0; lane < 8; ++lane) {
-            if (block.id[lane] >= nf && block.id[lane] != kNoNeighbour) return "a block's triangle is out of range";
-            const std::uint32_t* face = &view.faces[3 * std::size_t{block.id[block.id[lane] < nf ? lane : 0]}];
-            for (int row = 0; row < 9; ++row)
-                if (block.v[row][lane] != view.vertices[3 * std::size_t{face[row / 3]} + row % 3])
-                    return "a block's corners differ from the mesh";
+            // Unused lanes repeat lane 0.
+            const std::uint32_t id = block.id[lane] == kNoNeighbour ? block.id[0] : block.id[lane];
+            if (id >= nf) return "a block's triangle is out of range";
+            const std::uint32_t* face = &view.faces[3 * std::size_t{id}];
+            for (int corner = 0; corner < 3; ++corner) {
+                if (face[corner] >= nv) return "a face index is out of range";
+                const float* at = &view.vertices[3 * std::size_t{face[corner]}];
+                for (int k = 0; k < 3; ++k) differs |= block.v[3 * corner + k][lane] != at[k] ? 1u : 0u;
+            }
         }
+        if (differs != 0) return "a block's corners differ from the mesh";
     }
-    return check_materials(view.materials, nv);
+    return {};
+}
+
+std::string check_bounds(std::span<const TriBlock> blocks, std::span<const BlockBound> bounds) {
+    for (std::size_t i = 0; i < blocks.size(); ++i) {
+        const BlockBound& b = bounds[i];
+        const double n[3] = {b.nx, b.ny, b.nz}, radius2 = double{b.radius} * double{b.radius}, half = b.half;
+        const double unit = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
+        // So written that what is not a number is refused.
+        if (!(std::abs(unit - 1.0) <= 1e-5) || !(b.radius >= 0.0f) || !std::isfinite(b.radius) ||
+            !std::isfinite(b.half))
+            return "a block's bound is no disc";
+        std::uint32_t outside = 0;
+        for (int corner = 0; corner < 9; corner += 3) {
+            for (int lane = 0; lane < 8; ++lane) {
+                const double x = double{blocks[i].v[corner][lane]} - double{b.x};
+                const double y = double{blocks[i].v[corner + 1][lane]} - double{b.y};
+                const double z = double{blocks[i].v[corner + 2][lane]} - double{b.z};
+                outside |= x * x + y * y + z * z <= radius2 ? 0u : 1u;
+                outside |= std::abs(n[0] * x + n[1] * y + n[2] * z) <= half ? 0u : 1u;
+            }
+        }
+        if (outside != 0) return "a block reaches beyond its bound";
+    }
+    return {};
 }
 
 }  // namespace hapticlod

@@ -158,8 +158,7 @@ double first_hit_in_corner_box(const LevelView& level, const Vec3& p, const Vec3
                 const Brick* brick = find_brick(level, x >> 2, y >> 2, z >> 2);
                 const int bit = (x & 3) + 4 * (y & 3) + 16 * (z & 3);
                 if (brick == nullptr || (brick->mask >> bit & 1u) == 0) continue;
-                const std::uint64_t below = brick->mask & ((std::uint64_t{1} << bit) - 1);
-                const std::uint32_t cell = brick->first_cell + static_cast<std::uint32_t>(std::popcount(below));
+                const std::uint32_t cell = cell_of(*brick, bit);
                 for (std::uint32_t b = level.cells[cell]; b < level.cells[cell + 1]; ++b) {
                     counters.triangles += 8;
                     for (std::uint32_t k = 0; k < 8; ++k) {

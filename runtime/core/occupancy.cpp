@@ -79,12 +79,30 @@ BlockBound bound_of(const TriBlock& block) {
     return b;
 }
 
-ActiveLevel::ActiveLevel(const LevelView& level) : view(level) {
+namespace {
+
+// Whether every edge of every triangle has a neighbour. In pieces without an exit, which a compiler makes vectors of.
+bool is_closed(std::span<const std::uint32_t> adjacency) {
+    constexpr std::size_t kPiece = 4096;
+    while (!adjacency.empty()) {
+        const auto piece = adjacency.first(std::min(kPiece, adjacency.size()));
+        std::uint32_t open = 0;
+        for (const std::uint32_t neighbour : piece) open |= neighbour == kNoNeighbour ? 1u : 0u;
+        if (open != 0) return false;
+        adjacency = adjacency.subspan(piece.size());
+    }
+    return true;
+}
+
+}  // namespace
+
+ActiveLevel::ActiveLevel(const LevelView& level)
+    : view(level), bounds(level.bounds), closed(is_closed(level.adjacency)) {
     occupancy.build(level);
-    closed = std::find(level.adjacency.begin(), level.adjacency.end(), kNoNeighbour) == level.adjacency.end();
-    bounds.reserve(level.blocks.size() + kBoundsBeyond);
-    for (const TriBlock& block : level.blocks) bounds.push_back(bound_of(block));
-    bounds.resize(bounds.size() + kBoundsBeyond);
+    if (bounds.size() == level.blocks.size()) return;
+    made_bounds_.reserve(level.blocks.size());
+    for (const TriBlock& block : level.blocks) made_bounds_.push_back(bound_of(block));
+    bounds = made_bounds_;
 }
 
 }  // namespace hapticlod

@@ -61,12 +61,16 @@ private:
 struct ActiveLevel {
     LevelView view;
     Occupancy occupancy;
-    static constexpr std::size_t kBoundsBeyond = 7;  // kernels read eight at a time
-    std::vector<BlockBound> bounds;                  // one per block
-    bool closed = false;                             // no open border: what is behind the surface is inside
+    std::span<const BlockBound> bounds;  // one per block: the stored ones, or those made here
+    bool closed = false;                 // no open border: what is behind the surface is inside
 
     explicit ActiveLevel(const LevelView& level);
-    [[nodiscard]] std::size_t bytes() const { return occupancy.bytes() + bounds.size() * sizeof(BlockBound); }
+    ActiveLevel(ActiveLevel&&) = default;  // made bounds stay where they are
+    ActiveLevel& operator=(ActiveLevel&&) = default;
+    [[nodiscard]] std::size_t bytes() const { return occupancy.bytes() + bounds.size_bytes(); }
+
+private:
+    std::vector<BlockBound> made_bounds_;
 };
 
 }  // namespace hapticlod

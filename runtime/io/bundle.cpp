@@ -1,17 +1,24 @@
 #include "io/bundle.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <functional>
 
 #include "core/config_check.hpp"
+#include "core/material.hpp"
+#include "io/digest.hpp"
+#include "io/in_parallel.hpp"
 #include "io/json_text.hpp"
 
 namespace hapticlod {
 namespace {
 
-constexpr float kMostCoordinateMm = 1e9f;
+constexpr std::size_t kBlocksAtOnce = 16384;  // checked by one job
+constexpr std::size_t kMostHeadBytes = sizeof(BundleHeader) + kMaxSections * sizeof(SectionEntry);
+constexpr std::size_t kDigestsTake = 4;  // times the reading of the same bytes
 
 // What core's check_config leaves open: fields that later formats may give a meaning must be 0 in this one.
 std::string config_fault(const ConfigData& config) {
@@ -36,14 +43,29 @@ std::string tool_fault(std::span<const BallData> tool) {
 }  // namespace
 
 Result<Bundle> Bundle::open(const std::string& path) {
+    CheckedFiles nothing({});
+    return open(path, nothing);
+}
+
+Result<Bundle> Bundle::open(const std::string& path, CheckedFiles& known) {
+    const std::int64_t began_ns = std::chrono::system_clock::now().time_since_epoch() / std::chrono::nanoseconds(1);
     Result<MappedFile> file = MappedFile::open(path);
     if (!file) return file.fault();
-    Result<Bundle> bundle = open(file.value().bytes(), path);
-    if (bundle) bundle.value().file_ = std::move(file).value();
+    const FileState state = file.value().state();
+    const auto bytes = file.value().bytes();
+    const Digest head = blake2b_256(bytes.first(std::min(bytes.size(), kMostHeadBytes)));
+    Result<Bundle> bundle = open(bytes, path, known.knows(state, head));
+    if (!bundle) return bundle;
+    bundle.value().file_ = std::move(file).value();
+    if (!bundle.value().checked_before() && file_state(path) == state) known.remember(state, head, began_ns);
     return bundle;
 }
 
 Result<Bundle> Bundle::open(std::span<const std::byte> bytes, const std::string& name) {
+    return open(bytes, name, false);
+}
+
+Result<Bundle> Bundle::open(std::span<const std::byte> bytes, const std::string& name, bool checked_before) {
     if (reinterpret_cast<std::uintptr_t>(bytes.data()) % kSectionAlignment != 0) {
         return Fault{name, "does not start at a multiple of 64 bytes in memory", "align the buffer"};
     }
@@ -53,10 +75,17 @@ Result<Bundle> Bundle::open(std::span<const std::byte> bytes, const std::string&
     bundle.path_ = name;
     bundle.bytes_ = bytes;
     bundle.sections_ = std::move(sections).value();
+    bundle.checked_before_ = checked_before;
     if (std::string reason = bundle.load_signature(); !reason.empty()) {
         return Fault{name + ", SIGNATURE", reason, "get the bundle again from whoever signed it"};
     }
-    if (std::string reason = bundle.load(); !reason.empty()) return Fault{name, reason, "write the bundle again"};
+    const auto fault = [&name](std::string reason) { return Fault{name, std::move(reason), "write the bundle again"}; };
+    if (std::string reason = bundle.load(); !reason.empty()) return fault(std::move(reason));
+    if (!checked_before) {
+        if (std::optional<Fault> found = bundle.check_arrays()) return *std::move(found);
+    }
+    if (std::string reason = bundle.rebuild(); !reason.empty()) return fault(std::move(reason));
+    if (std::string reason = bundle.make_parts(); !reason.empty()) return fault(std::move(reason));
     return bundle;
 }
 
@@ -126,6 +155,7 @@ std::string Bundle::load() {
     }
     if (find(SectionType::parts) != nullptr) {
         if (std::string reason = load_parts(); !reason.empty()) return reason;
+        if (std::string reason = load_bounds(); !reason.empty()) return reason;
         return load_golden();
     }
     for (const Section& section : sections_) {
@@ -137,6 +167,7 @@ std::string Bundle::load() {
         if (std::string reason = load_level(level, config_->triangles[level], config_->cell_mm[level]); !reason.empty())
             return reason;
     }
+    if (std::string reason = load_bounds(); !reason.empty()) return reason;
     return load_golden();
 }
 
@@ -146,9 +177,6 @@ std::string Bundle::load_level(std::uint32_t level, std::uint32_t triangles, dou
     if (std::string reason = take(SectionType::faces, level, view.faces); !reason.empty()) return reason;
     const std::string at = "level " + std::to_string(level) + ": ";
     if (view.vertices.size() % 3 != 0 || view.faces.size() % 3 != 0) return at + "has incomplete vertices or faces";
-    for (const float v : view.vertices) {
-        if (!(std::abs(v) <= kMostCoordinateMm)) return at + "a vertex is not finite or beyond 10^9 mm";
-    }
     if (view.faces.size() / 3 != triangles) {
         return at + "has " + std::to_string(view.faces.size() / 3) + " triangles, its config says " +
                std::to_string(triangles);
@@ -159,18 +187,13 @@ std::string Bundle::load_level(std::uint32_t level, std::uint32_t triangles, dou
         if (view.materials.empty()) return at + "materials and vertices differ in number";
     }
 
-    bool usable = true;  // every acceleration section is there in a version that this runtime knows
+    storage_.push_back(nullptr);
+    cells_mm_.push_back(cell_mm);
     for (auto type = static_cast<std::uint32_t>(SectionType::adjacency); is_acceleration(type); ++type) {
-        usable = usable && find(static_cast<SectionType>(type), level) != nullptr;
-    }
-    if (!usable) {
-        auto storage = std::make_unique<LevelStorage>();
-        std::string reason = storage->build(view.vertices, view.faces, cell_mm);
-        if (reason.empty()) reason = storage->set_materials(view.materials);
-        if (!reason.empty()) return at + reason;
-        levels_.push_back(storage->view());
-        storage_.push_back(std::move(storage));
-        return {};
+        if (find(static_cast<SectionType>(type), level) == nullptr) {  // or of a version that is not known here
+            levels_.push_back(view);                                   // until rebuild()
+            return {};
+        }
     }
 
     std::span<const HashHeader> header;
@@ -183,13 +206,97 @@ std::string Bundle::load_level(std::uint32_t level, std::uint32_t triangles, dou
     if (std::string reason = take(SectionType::blocks, level, view.blocks); !reason.empty()) return reason;
     if (header.size() != 1) return at + "has " + std::to_string(header.size()) + " hash headers, expected 1";
     view.hash = &header[0];
-    if (std::string reason = check_level(view); !reason.empty()) return at + reason;
+    if (std::string reason = check_level_sizes(view); !reason.empty()) return at + reason;
     for (const std::uint32_t value : view.hash->reserved) {
         if (value != 0) return at + "a reserved field of its hash is not 0";
     }
     if (view.hash->cell_mm != cell_mm) return at + "its hash has another cell_mm than its config";
     levels_.push_back(view);
-    storage_.push_back(nullptr);
+    return {};
+}
+
+// Where a level is to be rebuilt its blocks are others than those of the section, which is of no use then.
+std::string Bundle::load_bounds() {
+    if (find(SectionType::bounds) == nullptr) return {};
+    std::span<const BlockBound> bounds;
+    if (std::string reason = take(SectionType::bounds, 0, bounds); !reason.empty()) return reason;
+    std::size_t blocks = 0;
+    for (const LevelView& level : levels_) {
+        if (level.hash == nullptr) return {};
+        blocks += level.blocks.size();
+    }
+    if (bounds.size() != blocks) return "section BOUNDS and the blocks of all levels differ in number";
+    for (LevelView& level : levels_) {
+        level.bounds = bounds.first(level.blocks.size());
+        bounds = bounds.subspan(level.blocks.size());
+    }
+    return {};
+}
+
+// All that is long to read, at once: the digests of large sections and what is in the arrays of every level. The fault
+// that is named does not depend on the threads: the first of a digest, else the first of a level.
+std::optional<Fault> Bundle::check_arrays() const {
+    std::vector<Job> jobs;
+    std::vector<std::function<std::string()>> contents;  // of jobs, in the order of levels
+    std::vector<std::string> found;
+    std::vector<char> damaged(sections_.size(), 0);
+    for (std::size_t i = 0; i < sections_.size(); ++i) {
+        if (!sections_[i].large()) continue;
+        jobs.push_back(
+            {kDigestsTake * sections_[i].bytes.size(), [&, i] { damaged[i] = sections_[i].intact() ? 0 : 1; }});
+    }
+    const auto later = [&](std::uint32_t level, std::size_t bytes, auto check) {
+        const std::size_t number = contents.size();
+        contents.push_back([level, check] {
+            std::string reason = check();
+            return reason.empty() ? reason : "level " + std::to_string(level) + ": " + reason;
+        });
+        jobs.push_back({bytes, [&, number] { found[number] = contents[number](); }});
+    };
+    for (std::uint32_t level = 0; level < levels_.size(); ++level) {
+        const LevelView& view = levels_[level];
+        if (view.hash == nullptr) continue;  // rebuilding checks it
+        later(level, view.vertices.size_bytes() + view.normals.size_bytes() + 2 * view.faces.size_bytes(),
+              [&view] { return check_level_mesh(view); });
+        if (!view.materials.empty()) {
+            later(level, view.materials.size_bytes(),
+                  [&view] { return check_materials(view.materials, view.vertex_count()); });
+        }
+        later(level, view.bricks.size_bytes() + view.cells.size_bytes() + view.table.size_bytes(),
+              [&view] { return check_level_hash(view); });
+        for (std::size_t first = 0; first < view.blocks.size(); first += kBlocksAtOnce) {
+            const std::size_t last = std::min(first + kBlocksAtOnce, view.blocks.size());
+            later(level, (last - first) * sizeof(TriBlock), [&view, first, last] {
+                std::string reason = check_level_blocks(view, first, last);
+                if (!reason.empty() || view.bounds.empty()) return reason;
+                return check_bounds(view.blocks.subspan(first, last - first), view.bounds.subspan(first, last - first));
+            });
+        }
+    }
+    found.resize(contents.size());
+    run_in_parallel(jobs);
+    for (std::size_t i = 0; i < sections_.size(); ++i) {
+        if (damaged[i] != 0) return sections_[i].damaged(path_);
+    }
+    for (std::string& reason : found) {
+        if (!reason.empty()) return Fault{path_, std::move(reason), "write the bundle again"};
+    }
+    return std::nullopt;
+}
+
+// Levels whose acceleration sections are missing or of a version that is not known here.
+std::string Bundle::rebuild() {
+    for (std::uint32_t level = 0; level < levels_.size(); ++level) {
+        LevelView& view = levels_[level];
+        if (view.hash != nullptr) continue;
+        auto storage = std::make_unique<LevelStorage>();
+        std::string reason = check_vertices(view.vertices);
+        if (reason.empty()) reason = storage->build(view.vertices, view.faces, cells_mm_[level]);
+        if (reason.empty()) reason = storage->set_materials(view.materials);
+        if (!reason.empty()) return "level " + std::to_string(level) + ": " + reason;
+        view = storage->view();
+        storage_[level] = std::move(storage);
+    }
     return {};
 }
 

@@ -46,6 +46,7 @@ enum class SectionType : std::uint32_t {
     cells = 23,
     blocks = 24,
     materials = 25,  // only where the scan has any; a reader may not do without
+    bounds = 30,     // of the blocks of all levels, one after the other; speeds up opening, and can be made anew
     golden_motion = 32,
     golden_record = 33,
     signature = 48,
@@ -121,6 +122,8 @@ inline constexpr std::uint32_t kSectionVersion = 1;
             return "BLOCKS";
         case SectionType::materials:
             return "MATERIALS";
+        case SectionType::bounds:
+            return "BOUNDS";
         case SectionType::golden_motion:
             return "GOLDEN_MOTION";
         case SectionType::golden_record:

@@ -63,6 +63,11 @@ std::string Bundle::load_parts() {
             if (std::string reason = load_level(level, part.triangles[k], part.cell_mm[k]); !reason.empty())
                 return std::string(name_of(part)) + ", " + reason;
     }
+    return {};
+}
+
+// When all levels are checked and built.
+std::string Bundle::make_parts() {
     for (std::uint32_t i = 0; i < parts_.size(); ++i) {
         scene_.push_back(std::make_unique<Part>(levels_of(i)));
         if (!scene_.back()->fault().empty()) return std::string(name_of(parts_[i])) + ": " + scene_.back()->fault();

@@ -94,6 +94,17 @@ hlod_status hlod_bundle_open(const char* path, hlod_bundle** bundle, char* messa
                    [&] { return handed_over(Bundle::open(path), bundle, message, message_bytes); });
 }
 
+hlod_status hlod_bundle_open_known(const char* path, const char* record_path, hlod_bundle** bundle, char* message,
+                                   size_t message_bytes) noexcept {
+    if (bundle == nullptr) return HLOD_BAD_ARGUMENT;
+    *bundle = nullptr;
+    if (path == nullptr) return HLOD_BAD_ARGUMENT;
+    return guarded(message, message_bytes, [&] {
+        hapticlod::CheckedFiles known(record_path == nullptr ? hapticlod::CheckedFiles::standard_path() : record_path);
+        return handed_over(Bundle::open(path, known), bundle, message, message_bytes);
+    });
+}
+
 hlod_status hlod_bundle_open_memory(const void* data, size_t bytes, const char* name, hlod_bundle** bundle,
                                     char* message, size_t message_bytes) noexcept {
     if (bundle == nullptr) return HLOD_BAD_ARGUMENT;

@@ -14,4 +14,13 @@ Digest blake2b_256(std::span<const std::byte> bytes) {
     return digest;
 }
 
+std::string hex(const Digest& digest) {
+    std::string text;
+    for (const std::uint8_t byte : digest) {
+        text += "0123456789abcdef"[byte >> 4];
+        text += "0123456789abcdef"[byte & 15];
+    }
+    return text;
+}
+
 }  // namespace hapticlod

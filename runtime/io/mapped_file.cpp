@@ -10,6 +10,28 @@
 #include <utility>
 
 namespace hapticlod {
+namespace {
+
+FileState state_of(const struct stat& status) {
+    const auto nanoseconds = [](const struct timespec& time) {
+        return std::int64_t{time.tv_sec} * 1'000'000'000 + time.tv_nsec;
+    };
+    return {status.st_dev,
+            status.st_ino,
+            static_cast<std::uint64_t>(status.st_size),
+            nanoseconds(status.st_mtim),
+            nanoseconds(status.st_ctim),
+            status.st_uid,
+            status.st_mode};
+}
+
+}  // namespace
+
+std::optional<FileState> file_state(const std::string& path) {
+    struct stat status {};
+    if (::stat(path.c_str(), &status) != 0 || !S_ISREG(status.st_mode)) return std::nullopt;
+    return state_of(status);
+}
 
 Result<MappedFile> MappedFile::open(const std::string& path) {
     // O_NONBLOCK: opening a pipe by mistake must not hang.
@@ -34,15 +56,16 @@ Result<MappedFile> MappedFile::open(const std::string& path) {
     if (data == MAP_FAILED) {
         return Fault{path, std::string("cannot be mapped (") + std::strerror(reason) + ")", "free some memory"};
     }
-    return MappedFile(static_cast<const std::byte*>(data), size);
+    return MappedFile(static_cast<const std::byte*>(data), state_of(status));
 }
 
 MappedFile::MappedFile(MappedFile&& other) noexcept
-    : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)) {}
+    : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)), state_(other.state_) {}
 
 MappedFile& MappedFile::operator=(MappedFile&& other) noexcept {
     std::swap(data_, other.data_);
     std::swap(size_, other.size_);
+    std::swap(state_, other.state_);
     return *this;
 }
 

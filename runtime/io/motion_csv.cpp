@@ -113,6 +113,10 @@ Result<std::vector<MotionRow>> parse_motion_csv(std::string_view text, const std
     std::vector<MotionRow> rows;
     Columns columns;
     std::string_view segment;
+    if (text.starts_with("\x89MCAP")) {
+        return Fault{name, "is a recording (MCAP), not a motion CSV",
+                     "convert it: hapticlod recording " + name + " --motion --out motion.csv"};
+    }
     if (text.starts_with("\xef\xbb\xbf")) text.remove_prefix(3);  // byte-order mark
     for (std::size_t number = 1; !text.empty(); ++number) {
         const std::size_t stop = text.find('\n');

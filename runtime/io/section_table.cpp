@@ -10,6 +10,7 @@ namespace hapticlod {
 namespace {
 
 constexpr const char* kCopyAgain = "copy or write the bundle again";
+constexpr std::size_t kLargeBytes = 65536;
 constexpr const char* kUpdate = "update this program or write the bundle with an older one";
 
 Result<BundleHeader> read_header(std::span<const std::byte> file, const std::string& path) {
@@ -46,7 +47,9 @@ std::string entry_fault(const SectionEntry& entry, std::uint64_t end, std::uint6
     if (entry.offset != aligned) return "does not start where the one before ends";
     if (entry.offset > file_bytes || entry.length > file_bytes - entry.offset) return "reaches beyond the file";
     if ((entry.flags & ~kSectionOptional) != 0) return "has unknown flags";
-    if (entry.level >= (scene ? kMaxStoredLevels : kMaxLevels) || (entry.level != 0 && !is_level_section(entry.type)))
+    // A type that is not known here may be one of levels.
+    const bool of_no_level = std::strcmp(section_name(entry.type), "unknown") != 0 && !is_level_section(entry.type);
+    if (entry.level >= (scene ? kMaxStoredLevels : kMaxLevels) || (entry.level != 0 && of_no_level))
         return "has a wrong level";
     return {};
 }
@@ -61,6 +64,20 @@ std::string Section::name() const {
 
 bool Section::known() const {
     return std::strcmp(section_name(entry.type), "unknown") != 0 && entry.version == kSectionVersion;
+}
+
+bool Section::large() const {
+    const bool array = is_level_section(entry.type) || entry.type == static_cast<std::uint32_t>(SectionType::bounds);
+    return array && bytes.size() > kLargeBytes;
+}
+
+bool Section::intact() const {
+    const bool signature = entry.type == static_cast<std::uint32_t>(SectionType::signature);
+    return entry.digest == (signature ? Digest{} : blake2b_256(bytes));
+}
+
+Fault Section::damaged(const std::string& path) const {
+    return {path + ", " + name(), "is damaged (its digest differs)", kCopyAgain};
 }
 
 Result<std::vector<Section>> read_section_table(std::span<const std::byte> file, const std::string& path) {
@@ -108,11 +125,7 @@ Result<std::vector<Section>> read_section_table(std::span<const std::byte> file,
     if (end != file.size()) return Fault{path, "has bytes after its last section", kCopyAgain};
 
     for (const Section& section : sections) {
-        // The signature signs header and table, so the table cannot hold its digest; it vouches for itself.
-        const bool signature = section.entry.type == static_cast<std::uint32_t>(SectionType::signature);
-        if (section.entry.digest != (signature ? Digest{} : blake2b_256(section.bytes))) {
-            return Fault{path + ", " + section.name(), "is damaged (its digest differs)", kCopyAgain};
-        }
+        if (!section.large() && !section.intact()) return section.damaged(path);
     }
     return sections;
 }

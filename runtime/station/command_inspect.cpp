@@ -2,21 +2,13 @@
 #include <cstdio>
 
 #include "io/bundle.hpp"
+#include "io/digest.hpp"
 #include "io/json_text.hpp"
 #include "station/arguments.hpp"
 #include "station/commands.hpp"
 
 namespace hapticlod::station {
 namespace {
-
-std::string hex(const Digest& digest) {
-    std::string text;
-    for (const std::uint8_t byte : digest) {
-        text += "0123456789abcdef"[byte >> 4];
-        text += "0123456789abcdef"[byte & 15];
-    }
-    return text;
-}
 
 void write_sections(JsonWriter& json, const Bundle& bundle) {
     json.key("sections").open('[');

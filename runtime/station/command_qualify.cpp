@@ -1,4 +1,6 @@
 // qualify: does this machine render this bundle as the machine that made it, and in time? A certificate, pass or fail.
+#include <sys/utsname.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -10,6 +12,7 @@
 #include "core/renderer.hpp"
 #include "io/atomic_file.hpp"
 #include "io/bundle.hpp"
+#include "io/digest.hpp"
 #include "io/json_text.hpp"
 #include "station/arguments.hpp"
 #include "station/bundle_trust.hpp"
@@ -63,15 +66,22 @@ std::string certificate(const Bundle& bundle, const TrustVerdict& trust, const Q
     ::gmtime_r(&now, &utc);
     char stamp[32];
     std::strftime(stamp, sizeof(stamp), "%Y-%m-%dT%H:%M:%SZ", &utc);
+    utsname machine{};
+    ::uname(&machine);
     JsonWriter json;
-    json.open('{').field("bundle", std::string_view(bundle.path())).field("date", stamp);
+    json.open('{').field("bundle", std::string_view(bundle.path()));
+    // Of the whole file: b2sum -l 256 FILE says whether a certificate is this file's.
+    json.field("bundle_blake2b_256", std::string_view(hex(blake2b_256(bundle.bytes())))).field("date", stamp);
     json.field("signature", std::string_view(trust.text())).field("trusted", trust.trust == Trust::trusted);
+    json.field("program", "hapticlod-station " HAPTICLOD_VERSION).field("host", machine.nodename);
+    json.field("kernel", std::string_view(std::string(machine.release) + " " + machine.version));
     json.field("processor", std::string_view(processor())).field("fifo", rights.fifo);
     json.field("memory_locked", rights.memory_locked);
     json.field("passed", result.forces_equal() && result.in_time());
     json.field("forces_equal", result.forces_equal()).field("in_time", result.in_time());
     json.field("ticks", result.ticks).field("rounds", std::uint32_t{kRounds});
     json.field("force_tolerance_n", result.tolerance_n).field("worst_force_difference_n", result.worst_force_n);
+    json.field("worst_tick", result.worst_tick);
     json.field("forces_off", result.forces_off).field("levels_off", result.levels_off);
     json.field("contacts_off", result.contacts_off).field("budget_us", result.budget_us);
     for (const auto& [name, share] : {std::pair("p50", 0.5), std::pair("p99", 0.99), std::pair("p999", 0.999)}) {

@@ -1,4 +1,5 @@
 // run: the real-time loop against a device.
+#include <poll.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -79,12 +80,17 @@ bool wait_for_device(DeviceChoice& choice, const HidEntry& was, const Bundle& bu
     return false;
 }
 
-// The operator's word that the device may be armed again.
+// The operator's word that the device may be armed again. What was typed before it was asked for does not count.
 bool confirmed(const std::atomic<bool>& stop) {
-    std::fprintf(stderr, "clear the device, then press Enter to arm it again (Ctrl-C ends)\n");
     char key = 0;
+    for (pollfd input{STDIN_FILENO, POLLIN, 0}; ::poll(&input, 1, 0) > 0;) {
+        if (::read(STDIN_FILENO, &key, 1) != 1) break;
+    }
+    std::fprintf(stderr, "clear the device, then press Enter to arm it again (Ctrl-C ends)\n");
     while (!stop.load()) {
-        if (::read(STDIN_FILENO, &key, 1) != 1) return false;
+        const ssize_t got = ::read(STDIN_FILENO, &key, 1);
+        if (got == 0) std::fprintf(stderr, "standard input has ended: nobody can arm the device\n");
+        if (got != 1) return false;
         if (key == '\n') return true;
     }
     return false;
@@ -94,10 +100,11 @@ bool confirmed(const std::atomic<bool>& stop) {
 
 int command_run(Words words) {
     const auto parsed = Arguments::parse(
-        words, {{"BUNDLE"},
-                {"--device", "--path", "--serial", "--centre-mm", "--seconds", "--motion", "--cpu", "--record",
-                 "--flight", "--passivity-damping", "--trusted-keys", "--control"},
-                {"--json", "--virtual-time", "--accept-no-watchdog", "--reconnect", "--accept-unsigned"}});
+        words,
+        {{"BUNDLE"},
+         {"--device", "--path", "--serial", "--centre-mm", "--seconds", "--motion", "--cpu", "--record", "--flight",
+          "--passivity-damping", "--trusted-keys", "--control"},
+         {"--json", "--virtual-time", "--accept-no-watchdog", "--reconnect", "--accept-unsigned", "--check-all"}});
     if (!parsed) return refuse(parsed.fault());
     const Arguments& arguments = parsed.value();
     const auto seconds = arguments.number("--seconds", 0.0, 1e-3, 1e7);
@@ -110,7 +117,8 @@ int command_run(Words words) {
     if (virtual_time && seconds.value() == 0.0) {
         return refuse({"--virtual-time", "would never end", "give --seconds too"});
     }
-    const auto bundle_opened = Bundle::open(arguments.positional(0));
+    CheckedFiles known(arguments.flag("--check-all") ? std::string{} : CheckedFiles::standard_path());
+    const auto bundle_opened = Bundle::open(arguments.positional(0), known);
     if (!bundle_opened) return refuse(bundle_opened.fault());
     const Bundle& bundle = bundle_opened.value();
     const auto trust = require_trust(bundle, arguments);
@@ -199,6 +207,7 @@ int command_run(Words words) {
 
     const RunReport report{bundle.path(),
                            trust.value(),
+                           bundle.checked_before(),
                            arguments.option("--motion").value_or(choice.profile.simulated ? "golden motion" : "hand"),
                            traits,
                            config,

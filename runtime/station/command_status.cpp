@@ -136,7 +136,7 @@ int command_status(Words words) {
         }
         if (once) break;
         std::this_thread::sleep_for(std::chrono::milliseconds(100));
-    } while (!stop.load() && ::kill(static_cast<pid_t>(ring.source().pid), 0) == 0);
+    } while (!stop.load() && process_lives(ring.source().pid));
     return kExitFine;
 }
 

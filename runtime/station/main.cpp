@@ -30,6 +30,8 @@ constexpr const char* kHelp =
     "      --record FILE.mcap       record every tick;  --flight FOLDER  where the last 10 s go after a fault\n"
     "      Bundles must be signed by a key of /etc/hapticlod/trusted_keys or ~/.config/hapticlod/trusted_keys.\n"
     "      --trusted-keys FILE: by one of these. --accept-unsigned: run others too, and mark the report.\n"
+    "      What was found right since this machine was started, and not written since, is not read whole again;\n"
+    "      --check-all: all of it, all the same.\n"
     "  status [--pid N] [--once] [--json]\n"
     "      What a running station does, from its shared memory.\n"
     "  devices [--profile FILE] [--json]\n"

@@ -147,6 +147,7 @@ std::string report_json(const RunReport& report) {
     json.field("bundle", std::string_view(report.bundle));
     json.field("signature", std::string_view(report.trust.text()));
     json.field("trusted", report.trust.trust == Trust::trusted);
+    json.field("checked_before", report.checked_before);
     json.field("device", report.device.name);
     json.field("motion", std::string_view(report.motion)).field("virtual_time", report.virtual_time);
     json.field("fifo", report.rights.fifo).field("memory_locked", report.rights.memory_locked);

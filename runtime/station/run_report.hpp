@@ -17,7 +17,8 @@ namespace hapticlod::station {
 struct RunReport {
     std::string bundle;
     TrustVerdict trust;
-    std::string motion;  // where the simulated hand's path came from
+    bool checked_before;  // its large arrays were found right at an earlier start
+    std::string motion;   // where the simulated hand's path came from
     DeviceTraits device;
     ConfigData config;  // as it was run
     double bundle_stiffness_n_mm;

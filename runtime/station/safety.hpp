@@ -7,11 +7,13 @@
 //
 //  state     force
 //  IDLE      0
-//  ARMED     0; the device must first deliver `kArmReadings` good readings in a row, calibrated and let go by its
-//  watchdog RUN       rendered, limited, faded in over `engage_s` DEGRADED  the same; something is being put up with,
-//  and is counted SAFE      0 at once and for ever
+//  ARMED     0, until `kArmReadings` good readings came in a row, of a device that is calibrated and not let go
+//  RUN       rendered, limited, faded in over `engage_s`
+//  DEGRADED  the same; something is being put up with, and is counted
+//  SAFE      0 at once and for ever
 //
 //  fault                    put up with                                            then
+//  ------------------------------------------------------------------------------------------------------------
 //  no report                kSilent_s (5 ms); then fades, 0 after kCut_s (10 ms)   SAFE after kDead_s (20 ms)
 //  frozen device            kFrozen (10) reports of one sequence number            SAFE
 //  lost reports             more than kLostShare (5 %) in a second: DEGRADED       -
@@ -23,9 +25,16 @@
 //  force not finite         never                                                  0 sent, SAFE
 //  force over limit         clamped, direction kept                                -
 //  force change over limit  limited, direction kept, level switches included       -
-//  overrun                  coarser level first (overrun.hpp)                      kOverruns (20) in a row: SAFE
-//  write blocked            kStuck_s (20 ms)                                       SAFE; the firmware's watchdog lets
-//  go device fault, e-stop     never                                                  SAFE operator's stop never SAFE
+//  tick over budget         coarser level first (overrun.hpp), DEGRADED            kOverruns (20) in a row: SAFE
+//  late period              DEGRADED; the phase is kept                            kOverruns (20) in a row: SAFE
+//  write blocked            kStuck_s (20 ms)                                       SAFE; the firmware lets go
+//  device fault, e-stop,    never                                                  SAFE
+//    its watchdog let go
+//  operator's stop          never                                                  SAFE
+//
+//  Outside this file: a device of other ids, usage or report, another program's, or without a watchdog is not armed
+//  (hid_connection.cpp, open_device.cpp); a damaged bundle is not loaded (io/bundle.cpp); of a program that was killed
+//  nothing is left but the firmware's watchdog.
 //
 // A device slower than 600 reports a second is granted 3, 6 and 12 of its periods for the times of `no report`, and 12
 // for a write.

@@ -24,8 +24,6 @@ constexpr std::size_t kWords = sizeof(TelemetryFrame) / 8;
 constexpr const char* kPrefix = "hapticlod-station.";
 using Words = std::array<std::uint64_t, kWords>;
 
-bool alive(std::uint32_t pid) { return ::kill(static_cast<pid_t>(pid), 0) == 0 || errno == EPERM; }
-
 // Process ids of all rings there are.
 std::vector<std::uint32_t> rings() {
     std::vector<std::uint32_t> pids;
@@ -44,6 +42,8 @@ std::string name_of(std::uint32_t pid) { return std::string("/") + kPrefix + std
 
 }  // namespace
 
+bool process_lives(std::uint32_t pid) { return ::kill(static_cast<pid_t>(pid), 0) == 0 || errno == EPERM; }
+
 struct TelemetryRing::Shared {
     struct Slot {
         std::atomic<std::uint64_t> sequence;  // 2 i + 1 while frame i is written, 2 i + 2 when it is there
@@ -60,7 +60,7 @@ static_assert(std::atomic<std::uint64_t>::is_always_lock_free);  // or it could 
 
 Result<TelemetryRing> TelemetryRing::create(const TelemetrySource& source, double seconds) {
     for (const std::uint32_t pid : rings()) {
-        if (!alive(pid)) ::shm_unlink(name_of(pid).c_str());
+        if (!process_lives(pid)) ::shm_unlink(name_of(pid).c_str());
     }
     const std::string name = name_of(source.pid);
     const auto least = static_cast<std::uint64_t>(std::ceil(seconds * source.loop_hz));
@@ -76,7 +76,7 @@ Result<TelemetryRing> TelemetryRing::create(const TelemetrySource& source, doubl
     if (place == MAP_FAILED) {
         ::shm_unlink(name.c_str());
         return Fault{"/dev/shm" + name, std::string("no room for telemetry (") + std::strerror(error) + ")",
-                     "make /dev/shm larger or run with --no-telemetry"};
+                     "make /dev/shm larger: a few MB are enough"};
     }
     ring.owned_name_ = name;
     ring.shared_ = static_cast<Shared*>(place);  // zeros, which is what its atomics start from
@@ -90,7 +90,7 @@ Result<TelemetryRing> TelemetryRing::create(const TelemetrySource& source, doubl
 Result<TelemetryRing> TelemetryRing::open(std::uint32_t pid) {
     if (pid == 0) {
         std::vector<std::uint32_t> there = rings();
-        std::erase_if(there, [](std::uint32_t other) { return !alive(other); });
+        std::erase_if(there, [](std::uint32_t other) { return !process_lives(other); });
         if (there.empty()) return Fault{"hapticlod-station", "is not running", "start it with hapticlod-station run"};
         if (there.size() > 1) {
             std::string list;

@@ -42,6 +42,9 @@ struct TelemetrySource {
     char bundle[256], device[64];
 };
 
+// Whether there is such a process, another user's included.
+[[nodiscard]] bool process_lives(std::uint32_t pid);
+
 class TelemetryRing {
 public:
     // The writer's: room for at least `seconds` at the loop rate. Named after the process, so several stations can run;

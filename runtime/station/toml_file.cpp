@@ -5,6 +5,8 @@
 #include <fstream>
 #include <sstream>
 
+#include "station/toml_letters.hpp"
+
 #define TOML_EXCEPTIONS 0
 #define TOML_ENABLE_FORMATTERS 0
 #include <toml++/toml.h>
@@ -22,7 +24,7 @@ TomlNode converted(const toml::node& node, toml::source_position at) {
             // A key of a dotted or implicit table may have no place of its own.
             toml::source_position place = key.source().begin ? key.source().begin : value.source().begin;
             if (!place) place = at;
-            out.keys.emplace_back(key.str());
+            out.keys.push_back(lowered_letters(key.str()));
             out.items.push_back(converted(value, place));
         }
     } else if (const toml::array* array = node.as_array()) {
@@ -32,7 +34,7 @@ TomlNode converted(const toml::node& node, toml::source_position at) {
         }
     } else if (const auto* text = node.as_string()) {
         out.kind = TomlNode::Kind::string;
-        out.text = text->get();
+        out.text = lowered_letters(text->get());
     } else if (const auto* integer = node.as_integer()) {
         out.kind = TomlNode::Kind::integer;
         out.integer = integer->get();
@@ -59,12 +61,14 @@ const TomlNode* TomlNode::find(std::string_view key) const {
 }
 
 Result<TomlNode> parse_toml(std::string_view text, const std::string& name) {
-    const toml::parse_result parsed = toml::parse(text, name);
+    const Result<std::string> raised = raised_letters(text, name);
+    if (!raised) return raised.fault();
+    const toml::parse_result parsed = toml::parse(std::string_view(raised.value()), name);
     if (!parsed) {
         const toml::parse_error& error = parsed.error();
         const toml::source_position at = error.source().begin;
         return Fault{name + ":" + std::to_string(at.line) + ":" + std::to_string(at.column),
-                     "not TOML: " + std::string(error.description()), "mend the syntax there"};
+                     "not TOML: " + lowered_letters(error.description()), "mend the syntax there"};
     }
     return converted(parsed.table(), {1, 1});
 }

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "core/occupancy.hpp"
 #include "core/renderer.hpp"
 #include "io/bundle_format.hpp"
 #include "io/digest.hpp"
@@ -79,15 +80,15 @@ std::string bytes_of(std::span<const T> values) {
     return {reinterpret_cast<const char*>(values.data()), values.size_bytes()};
 }
 
-// A plate of 10 x 10 mm around the origin, z = 0, facing up, `cells` x `cells` squares of two triangles.
-inline LevelStorage plate(unsigned cells, double cell_mm) {
+// A plate of 10 x 10 mm around the origin, facing up, `cells` x `cells` squares of two triangles.
+inline LevelStorage plate(unsigned cells, double cell_mm, float z_mm = 0.0f) {
     std::vector<float> vertices;
     std::vector<std::uint32_t> faces;
     for (unsigned j = 0; j <= cells; ++j) {
         for (unsigned i = 0; i <= cells; ++i) {
             const float side = 10.0f / static_cast<float>(cells);
             vertices.insert(vertices.end(),
-                            {side * static_cast<float>(i) - 5.0f, side * static_cast<float>(j) - 5.0f, 0.0f});
+                            {side * static_cast<float>(i) - 5.0f, side * static_cast<float>(j) - 5.0f, z_mm});
         }
     }
     for (unsigned j = 0; j < cells; ++j) {
@@ -158,13 +159,19 @@ inline std::vector<Material> two_materials(const LevelView& level) {
     return made;
 }
 
-inline MadeBundle plate_bundle(bool with_materials = false) {
-    const ConfigData config = plate_config();
+// `cells` squares along a side of the finer level.
+inline MadeBundle plate_bundle(bool with_materials = false, unsigned cells = 6) {
+    ConfigData config = plate_config();
+    for (const unsigned i : {0u, 1u}) {
+        const unsigned squares = cells >> i;
+        config.triangles[i] = 2 * squares * squares;
+        config.cell_mm[i] = 9.0 / squares;
+    }
     const std::vector<BallData> tool(1);
-    const std::vector<LevelStorage> storage = [with_materials] {
+    const std::vector<LevelStorage> storage = [with_materials, cells, &config] {
         std::vector<LevelStorage> levels;
-        levels.push_back(plate(6, 1.5));
-        levels.push_back(plate(3, 3.0));
+        levels.push_back(plate(cells, config.cell_mm[0]));
+        levels.push_back(plate(cells / 2, config.cell_mm[1]));
         for (LevelStorage& level : levels) {
             if (!with_materials) continue;
             const std::string fault = level.set_materials(two_materials(level.view()));
@@ -181,7 +188,7 @@ inline MadeBundle plate_bundle(bool with_materials = false) {
 
     MadeBundle made;
     made.at(SectionType::manifest).bytes = R"({"scan": "plate"})";
-    made.at(SectionType::config).bytes = bytes_of(std::span(&config, 1));
+    made.at(SectionType::config).bytes = bytes_of(std::span<const ConfigData>(&config, 1));
     made.at(SectionType::tool).bytes = bytes_of(std::span(tool));
     for (std::uint32_t i = 0; i < 2; ++i) {
         const LevelView& level = levels[i];
@@ -196,11 +203,16 @@ inline MadeBundle plate_bundle(bool with_materials = false) {
         made.at(SectionType::blocks, i).bytes = bytes_of(level.blocks);
         if (with_materials) made.at(SectionType::materials, i).bytes = bytes_of(level.materials);
     }
+    std::vector<BlockBound> bounds;
+    for (const LevelView& level : levels) {
+        for (const TriBlock& block : level.blocks) bounds.push_back(bound_of(block));
+    }
+    made.at(SectionType::bounds).bytes = bytes_of(std::span<const BlockBound>(bounds));
     made.at(SectionType::golden_motion).bytes = bytes_of(std::span(motion));
     made.at(SectionType::golden_record).bytes = bytes_of(std::span(record));
     for (MadeSection& section : made.sections) {
         const auto type = static_cast<std::uint32_t>(section.type);
-        if (is_acceleration(type) || type >= static_cast<std::uint32_t>(SectionType::golden_motion)) {
+        if (is_acceleration(type) || type >= static_cast<std::uint32_t>(SectionType::bounds)) {
             section.flags = kSectionOptional;
         }
     }

@@ -33,7 +33,7 @@ class Bench : public LoopClock {
 public:
     using Script = std::function<void(Bench&, int period)>;
 
-    explicit Bench(Script with = {}, DeviceProfile described = native())
+    explicit Bench(Script with = {}, DeviceProfile described = native(), float coarse_z_mm = 0.0f)
         : profile(std::move(described)), script(std::move(with)) {
         const auto entry = find_device(profile, "", "");
         EXPECT_TRUE(entry) << entry.fault().line();
@@ -41,7 +41,7 @@ public:
         EXPECT_TRUE(opened) << opened.fault().line();
         device = std::move(opened).value();
         storage.push_back(test::plate(6, 1.5));
-        storage.push_back(test::plate(3, 3.0));
+        storage.push_back(test::plate(3, 3.0, coarse_z_mm));
         views = {storage[0].view(), storage[1].view()};
         EXPECT_EQ(renderer.load(config, views, std::vector<BallData>(1)), "");
     }
@@ -55,9 +55,9 @@ public:
     }
 
     std::int64_t now_ns() noexcept override { return now; }
-    bool real() const noexcept override { return false; }
+    bool real() const noexcept override { return costs_count; }
     void sleep_until(std::int64_t deadline_ns) noexcept override {
-        now = std::max(now, deadline_ns);
+        now = std::max(now, deadline_ns) + late_ns;
         if (reading && period > 0) take_forces(true);
         force_of_period.push_back(firmware.force());
         ++period;
@@ -81,19 +81,24 @@ public:
     test::VirtualNode node{folder, "hidraw0", "SIM1"};
     test::Firmware firmware;
     bool sending = true, reading = true;
-    test::Report raw;  // sent in place of the firmware's report, where not empty
+    bool costs_count = false;  // what computing took, by a real clock
+    std::int64_t late_ns = 0;  // every wake-up
+    test::Report raw;          // sent in place of the firmware's report, where not empty
     DeviceProfile profile;
     Script script;
     std::unique_ptr<HidDevice> device;
     ConfigData config = [] {
         ConfigData plate = test::plate_config();
         plate.max_force_n = 20.0;  // it is the safety core that limits
+        plate.blend_s = 0.0;       // a level switch is a step
+        plate.l_in_mm = plate.l_out_mm = plate.closest_bound_mm = 3.0;
         return plate;
     }();
     std::vector<LevelStorage> storage;
     std::vector<LevelView> views;
     Renderer renderer;
-    SafetyCore safety{{1e-3, 500.0, 4.0, 500.0, 2000.0, 0.02, 0.0, 1e-3, 0.5}};
+    static constexpr SafetyLimits kLimits{1e-3, 500.0, 4.0, 500.0, 2000.0, 0.02, 0.0, 1e-3, 0.5};
+    SafetyCore safety{kLimits};
     std::atomic<bool> stop{false};
     Tally tally;
     std::int64_t now = 0;
@@ -172,6 +177,19 @@ TEST(HidFaults, LostReportsDegrade) {
     EXPECT_EQ(few.safety.counts().degraded_ticks, 0u);
 }
 
+TEST(HidFaults, LostReportsAreNoSpeed) {
+    // The hand slides at 15 mm/s; every second report is lost. By a clock that counts reports it would be 30.
+    Bench bench([](Bench& b, int period) {
+        b.firmware.position_mm[0] = static_cast<float>(0.3 + 0.015 * std::max(0, period - 200));
+        b.sending = period < 200 || period % 2 == 0;
+        if (period == 290) b.tally = Tally{};  // touching down was faster
+    });
+    bench.run(500);
+    EXPECT_EQ(bench.safety.state(), State::degraded);
+    EXPECT_NEAR(bench.tally.max_speed_mm_s, 15.0, 0.5);
+    EXPECT_EQ(bench.tally.switches, 0u);  // the coarse level begins at 22 mm/s
+}
+
 TEST(HidFaults, BacklogGivesTheNewestAndNoForceStep) {
     // For 9 ms nothing, then all of it at once; the hand has moved on by 0.4 mm.
     Bench bench([](Bench& b, int period) {
@@ -246,6 +264,77 @@ TEST(HidFaults, ForceLimitsHoldAtTheDevice) {
     }
 }
 
+TEST(HidFaults, LevelSwitchMakesNoForceStep) {
+    // The coarse plate is 1.5 mm higher, and a hand at 60 mm/s changes to it: 2 N after 0.5 N.
+    std::uint64_t before = 0;
+    Bench bench(
+        [&before](Bench& b, int period) {
+            b.firmware.position_mm[0] = static_cast<float>(0.3 + 0.06 * std::clamp(period - 300, 0, 60));
+            if (period != 290) return;
+            b.tally = Tally{};  // touching down was fast, too
+            before = b.safety.counts().forces_slewed;
+        },
+        native(), 1.5f);
+    bench.run(355);
+    EXPECT_EQ(bench.tally.switches, 1u);
+    EXPECT_NEAR(bench.force_at(300), 0.5, 1e-2);
+    EXPECT_NEAR(bench.force_at(354), 2.0, 1e-2);
+    EXPECT_GE(bench.safety.counts().forces_slewed - before, 2u);  // 1.5 N, of which each tick may have 0.5
+    for (std::size_t i = 1; i < bench.force_of_period.size(); ++i) {
+        EXPECT_LE(bench.force_of_period[i] - bench.force_of_period[i - 1], 0.5 + 1e-6) << i;
+    }
+}
+
+TEST(HidFaults, ForceThatIsNotFiniteSendsZeroAndIsSafe) {
+    const double broken[3] = {0.0, kNan, 0.5};
+    double sent[3];
+    Bench bench;
+    bench.run(300);  // ends with a force of 0, and the core still in RUN
+    ASSERT_EQ(bench.safety.state(), State::run);
+    bench.firmware.force_n[2] = 1.0f;
+    bench.safety.gate(broken, 1e-3, sent);
+    bench.device->write(bench.now, sent, bench.safety.live());
+    bench.device->flush(20.0);
+    bench.take_forces(false);
+    EXPECT_EQ(bench.safety.fault(), SafetyFault::force_not_finite);
+    EXPECT_EQ(bench.firmware.force(), 0.0);
+    EXPECT_FALSE(bench.firmware.enabled);
+
+    // And if one came as far as the driver: it is not packed.
+    bench.firmware.force_n[2] = 1.0f;
+    bench.device->write(bench.now, broken, true);
+    bench.device->flush(20.0);
+    bench.take_forces(false);
+    EXPECT_EQ(bench.firmware.force(), 0.0);
+}
+
+TEST(HidFaults, TicksOverBudgetGoCoarserThenSafe) {
+    Bench bench;
+    SafetyLimits impossible = Bench::kLimits;
+    bench.config.budget_us = impossible.budget_us = 1e-3;  // nothing is that fast
+    bench.safety = SafetyCore(impossible);
+    bench.costs_count = true;
+    bench.run(1000);
+    EXPECT_EQ(bench.safety.fault(), SafetyFault::overruns);
+    EXPECT_EQ(bench.tally.level_ticks[0], 1u);  // the first; coarser from the second on
+    EXPECT_EQ(bench.tally.level_ticks[1], SafetyCore::kOverruns - 1u);
+    EXPECT_EQ(bench.safety.counts().over_budget, SafetyCore::kOverruns);
+    EXPECT_EQ(bench.firmware.force(), 0.0);
+}
+
+TEST(HidFaults, LatePeriodsAreCountedThenSafe) {
+    Bench bench([](Bench& b, int period) {
+        b.late_ns = period >= 300 ? 2'500'000 : 0;
+        if (period == 290) b.tally = Tally{};
+    });
+    bench.run(1000);
+    EXPECT_EQ(bench.safety.fault(), SafetyFault::overruns);
+    EXPECT_EQ(bench.safety.counts().late_periods, SafetyCore::kOverruns);
+    EXPECT_EQ(bench.safety.counts().over_budget, 0u);
+    EXPECT_EQ(bench.tally.switches, 0u);  // a level that computes less would not have woken up earlier
+    EXPECT_EQ(bench.firmware.force(), 0.0);
+}
+
 TEST(HidFaults, BlockedWriteIsSafe) {
     Bench bench([](Bench& b, int period) {
         if (period == 300) b.reading = false;  // the device stops taking reports; it still sends
@@ -291,6 +380,23 @@ TEST(HidFaults, DeviceThatIsNotCalibratedIsNotRun) {
     Bench later([](Bench& b, int period) { b.firmware.status = period < 300 ? 0 : 1 << 4; });
     later.run(400);
     EXPECT_EQ(later.safety.state(), State::run);
+}
+
+TEST(HidFaults, DeviceOfOtherIdsOrUsageIsNotFound) {
+    const test::ShimFolder folder;
+    const test::VirtualNode node(folder, "hidraw0", "SIM1");
+    DeviceProfile profile = native();
+    EXPECT_TRUE(find_device(profile, "", ""));
+    profile.match.product_id ^= 1;
+    EXPECT_FALSE(find_device(profile, "", ""));
+    profile = native();
+    profile.match.usage = 2;
+    const auto other = find_device(profile, "", "");
+    ASSERT_FALSE(other);
+    EXPECT_NE(other.fault().line().find("no device 1209:0001"), std::string::npos);
+    profile = native();
+    profile.match.usage_page = 0xFFAB;
+    EXPECT_FALSE(find_device(profile, "", ""));
 }
 
 TEST(HidFaults, ReportOfAnotherLengthIsRefused) {

@@ -8,6 +8,7 @@
 #include "station/crc16.hpp"
 #include "station/device_profile.hpp"
 #include "station/hid_device.hpp"
+#include "station/toml_file.hpp"
 
 #ifndef HAPTICLOD_REPOSITORY
 #error "the build says where the shipped profiles are"
@@ -40,6 +41,43 @@ TEST(Profile, SyntaxErrorHasItsPlace) {
     const auto parsed = parse_device_profile("schema = 1\n[device\n", "x.toml");
     ASSERT_FALSE(parsed);
     EXPECT_EQ(parsed.fault().where.substr(0, 9), "x.toml:2:");
+}
+
+// toml++ 3.3 has undefined behaviour on these; sanitizers show it where the letters are not raised first.
+TEST(Toml, LettersBeyondAsciiAreRefusedWhereTheyDoNotBelong) {
+    for (const char* text : {"name =\u00e91", "\u00e9 = 1", "a = 1 \u00e9", "a = [1, \u00e9]", "a.\u00e9 = 1",
+                             "[\u00e9]", "a = \u3001", "a = 1\u2028", "a = 1\u00a0", "a = \ufeff1", "a =\U0001f600"}) {
+        const auto parsed = parse_toml(text, "x.toml");
+        ASSERT_FALSE(parsed) << text;
+        EXPECT_TRUE(parsed.fault().where.starts_with("x.toml:1:")) << parsed.fault().line();
+        EXPECT_TRUE(parsed.fault().what.starts_with("not TOML: ")) << parsed.fault().line();
+    }
+    // toml++ calls it what it is, not what it was raised to.
+    EXPECT_NE(parse_toml("a = 1 \u00e9", "x.toml").fault().what.find("\u00e9"), std::string::npos);
+}
+
+TEST(Toml, LettersBeyondAsciiAreKeptWhereTheyBelong) {
+    const auto parsed = parse_toml(
+        "\xef\xbb\xbf# \u00e9\u2028\n'\u00fcber' = \"\u00e9\\u00e9\u3000\ufeff\U0001f600\"\nb = "
+        "\"\"\"\\\n\u00a0c\"\"\" # \u2028\n",
+        "x.toml");
+    ASSERT_TRUE(parsed) << parsed.fault().line();
+    ASSERT_NE(parsed.value().find("\u00fcber"), nullptr);
+    EXPECT_EQ(parsed.value().find("\u00fcber")->text, "\u00e9\u00e9\u3000\ufeff\U0001f600");
+    EXPECT_EQ(parsed.value().find("\u00fcber")->line, 2u);
+    EXPECT_EQ(parsed.value().find("b")->text, "\u00a0c");
+}
+
+TEST(Toml, WhatIsNoUtf8IsRefusedWithItsPlace) {
+    for (const char* bytes :
+         {"\xff", "\x80", "\xc3", "\xc0\xaf", "\xe0\x80\x80", "\xed\xa0\x80", "\xf4\x90\x80\x80", "\xf0\x9f\x98"}) {
+        std::string text = "a = 1\nb = '\u00e9";
+        text.append(bytes).append("'");
+        const auto parsed = parse_toml(text, "x.toml");
+        ASSERT_FALSE(parsed) << bytes;
+        EXPECT_EQ(parsed.fault().line(), "x.toml:2:7: not TOML: is not UTF-8; save the file as UTF-8");
+    }
+    EXPECT_EQ(parse_toml("a = '\U00100000'", "x.toml").fault().where, "x.toml:1:6");  // private use
 }
 
 TEST(Profile, StiffnessNeedsDampingOrAStatement) {

@@ -118,6 +118,12 @@ TEST(Telemetry, ReadersNeverSeeHalfAFrame) {
     EXPECT_GT(whole, 0u);
 }
 
+TEST(Telemetry, OtherUsersStationsLive) {
+    EXPECT_TRUE(process_lives(1));  // may not be signalled by everybody
+    EXPECT_TRUE(process_lives(static_cast<std::uint32_t>(::getpid())));
+    EXPECT_FALSE(process_lives(4194305));  // more than there can be
+}
+
 TEST(Telemetry, WhatADeadStationLeftIsNotAStation) {
     const pid_t child = ::fork();
     if (child == 0) {  // dies without saying goodbye

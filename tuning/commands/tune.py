@@ -120,10 +120,12 @@ def tune_command(
         result = tune(
             cleaned, target, held, recorded or None, levels=level_counts, over=over, seed=seed, progress=progress
         )
+        for line in result.ladder.notes:
+            notes.print(f"    {line}", markup=False, soft_wrap=True)
         progress("write the bundle", 0.0)
         write_tuned(output, result, cleaned, target, held, seed, signing)
         if json is not None:
-            write_json(json, document(result))
+            write_json(json, document(result, cleaned))
     _show(result, target, output, json, "not signed" if signing is None else f"signed by {signing.name}")
 
 

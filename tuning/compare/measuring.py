@@ -61,26 +61,29 @@ def feel_of(cell: Cell, tuned: dict[str, Any] | None) -> dict[str, Any]:
 def timing_of(cell: Cell, tuned: dict[str, Any] | None, core: int | None) -> dict[str, Any]:
     """What a tick costs. Where the station has cost coefficients its ticks are counted, otherwise timed here.
 
-    Timed on one core (`core`, else the last that this process may use), with the machine's load beside it.
+    Timed on one core (`core`, else the last that this process may use), with the machine's load beside it. What is
+    counted is the same on every core, however busy.
     """
     ground = ground_of(cell)
     config = configuration(cell, tuned)
+    counted = cell.station.cost is not None
     allowed = os.sched_getaffinity(0)
-    chosen = max(allowed) if core is None else core
-    os.sched_setaffinity(0, {chosen})
+    chosen = None if counted else max(allowed) if core is None else core
+    if chosen is not None:
+        os.sched_setaffinity(0, {chosen})
     try:
         meter = LoadMeter()
         begun = time.monotonic()
-        records = ground.records(config, REPEATS)
+        records = ground.records(config, 1 if counted else REPEATS)
         load = meter.read()
     finally:
         os.sched_setaffinity(0, allowed)
-    if cell.station.cost is not None:
+    if counted:
         records = [_counted(record, cell) for record in records]
     metrics = measure(records, records)  # against itself: only what it costs is taken
     return {
         "metrics": {key: metrics[key] for key in COST_KEYS},
-        "basis": "timed here" if cell.station.cost is None else f"counted, {cell.station.name}'s coefficients",
+        "basis": f"counted, {cell.station.name}'s coefficients" if counted else "timed here",
         "histograms": _histograms(records),
         "core": chosen,
         "seconds": time.monotonic() - begun,

@@ -15,6 +15,8 @@ from rich.table import Table
 
 from hapticlod.station import Station
 from tuning.compare.ledger import Row
+from tuning.objective import holds as within_limits
+from tuning.objective import objective
 
 
 @dataclass(frozen=True)
@@ -36,9 +38,7 @@ class Standing:
 
 def holds(row: Row) -> bool:
     """Whether the cell keeps its station's budget and memory."""
-    from tuning.tune import holds as kept
-
-    return kept(row.metrics, station_of(row))
+    return within_limits(row.metrics, station_of(row))
 
 
 def station_of(row: Row) -> Station:
@@ -48,8 +48,6 @@ def station_of(row: Row) -> Station:
 
 def ranks(rows: Sequence[Row]) -> dict[tuple[str, ...], list[Row]]:
     """The cells that are done, by group, best first; only groups in which every configuration is done are ranked."""
-    from tuning.search import objective
-
     configs = {row.config for row in rows}
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:

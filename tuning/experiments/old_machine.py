@@ -78,10 +78,14 @@ def cost_ns(rows: NDArray[Any], level_bytes: Sequence[int], station: Station) ->
 
 
 def run_late(
-    levels: list[Any], config: LodConfig, origin_mm: Array, motion: Motion, tool: Tool, station: Station
-) -> Loop:
-    """Runs the loop on a machine that is `station.slowdown` times slower, while the hand goes on with its motion."""
-    data = config.to_runtime(station, tool, origin_mm, cut_short=False)
+    levels: list[Any], config: LodConfig, origin_mm: Array, motion: Motion, tool: Tool, station: Station, *,
+    cut_short: bool = False,
+) -> Loop:  # fmt: skip
+    """Runs the loop on a machine that is `station.slowdown` times slower, while the hand goes on with its motion.
+
+    `cut_short`: ticks end where a deployed runtime ends them on that station, else every tick is solved to the end.
+    """
+    data = config.to_runtime(station, tool, origin_mm, cut_short=cut_short)
     renderer = _runtime.Renderer(levels, data.tobytes(), tool.rows)
     level_bytes = [level.bytes for level in levels]
     period_s = 1.0 / motion.loop_hz

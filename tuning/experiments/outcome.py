@@ -45,16 +45,18 @@ class Surface:
 
 
 def run_both(
-    name: str, config: LodConfig, surface: Surface, motion: Motion, tool: Tool, station: Station, reference: Record
-) -> tuple[Record, Loop, dict[str, Any]]:
-    """One configuration on time and on the old machine, and its row of numbers."""
+    name: str, config: LodConfig, surface: Surface, motion: Motion, tool: Tool, station: Station, reference: Record, *,
+    cut_short: bool = False,
+) -> tuple[Record, Loop, dict[str, Any]]:  # fmt: skip
+    """One configuration on time and on the old machine (there with ticks `cut_short` or not), its row of numbers."""
     levels = list(surface.levels)
     record = replay_levels(levels, config, surface.origin_mm, motion, tool, station, 1, cut_short=False)
-    late = run_late(levels, config, surface.origin_mm, motion, tool, station)
+    late = run_late(levels, config, surface.origin_mm, motion, tool, station, cut_short=cut_short)
     metrics = measure(record, reference)
     cost_us = 1e-3 * station.slowdown * cost_ns(record.rows, record.level_bytes, station)
     touching = reference.contact & (motion.time_s > SETTLED_S)
     error = np.linalg.norm(late.felt_n - reference.force, axis=1)[touching]
+    settled = late.felt_n[motion.time_s > SETTLED_S]
     row = {
         "run": name,
         "mean_speed_mm_s": round(float(motion.speed_mm_s().mean()), 1),
@@ -65,6 +67,7 @@ def run_both(
         "old_late_share": late.late_share,
         "old_force_error_rms_n": float(np.sqrt(np.mean(error**2))) if len(error) else 0.0,
         "old_force_error_max_n": float(error.max(initial=0.0)),
+        "old_force_range_n": (settled.max(axis=0) - settled.min(axis=0)).round(6).tolist(),
     }
     return record, late, row
 

@@ -74,9 +74,9 @@ def _summary(held: Bundle, record: Record | None) -> list[str]:
     )
     measured = manifest.get("measured")
     if isinstance(measured, dict):
-        said = ", ".join(
-            f"{c.name} {c.text(measured)}" for c in COLUMNS if isinstance(measured.get(c.key), int | float)
-        )
+        known = [c for c in COLUMNS if isinstance(measured.get(c.key), int | float)]
+        pairs = [(*c.name.rsplit(" ", 1), c.text(measured)) for c in known]
+        said = ", ".join(f"{name} {value} {unit.replace('1/s', 'per s')}" for name, unit, value in pairs)
         told.append(words(f"Measured on motions kept apart: {said}."))
     if record is not None and many:
         shares = [100.0 * float((record.level == k).mean()) for k in range(len(held.levels))]
@@ -92,18 +92,21 @@ def _configuration(held: Bundle) -> str:
     count = len(held.levels)
     unit = "mm/s" if POLICIES[c["policy"]] == "velocity" else "mm"
     thresholds = ", ".join(f"{v:.1f}" for v in c["speeds_mm_s"][: count - 1])
-    rows = [
-        ("levels change by", f"{POLICIES[c['policy']]}, at {thresholds} {unit}" if count > 1 else "there is one level"),
+    switching = [
+        ("levels change by", f"{POLICIES[c['policy']]}, at {thresholds} {unit}"),
         ("hysteresis", f"{100 * c['hysteresis']:.3g} %"),
         ("speed filter", f"{c['filter_hz']:.3g} Hz" if c["filter_hz"] > 0 else "none"),
         ("least time on a level", f"{1e3 * c['dwell_s']:.3g} ms"),
         ("mapping", f"{MAPPINGS[c['mapping']]}, {c['l_in_mm']:.3g} mm in, {c['l_out_mm']:.3g} mm out"),
         ("blend", f"{1e3 * c['blend_s']:.3g} ms"),
+    ]
+    rows = [
+        *(switching if count > 1 else [("levels", "one: nothing switches")]),
         ("force shading", "yes" if c["shading"] else "no"),
         ("loop", f"{c['loop_hz']:g} Hz, budget {c['budget_us']:g} µs"),
         ("stiffness, force limit", f"{c['stiffness_n_mm']:.3g} N/mm, {c['max_force_n']:.3g} N"),
     ]
-    return table(("setting", "value"), rows, "How the loop moves between levels", texts=2)
+    return table(("setting", "value"), rows, "How the loop runs", texts=2)
 
 
 def _levels(held: Bundle) -> str:
@@ -189,21 +192,21 @@ def _golden(held: Bundle, record: Record) -> str:
     by_speed = POLICIES[held.config["policy"]] == "velocity"
     thresholds = held.config["speeds_mm_s"][: count - 1] if by_speed else []
     costs = {"all": record.cost_us}
+    drawn = []
     if count > 1:
         costs |= {f"level {k}": record.cost_us[record.level == k] for k in range(count)}
+        text = "What each change of level in contact did to the force, beyond what the finest level did then."
+        drawn.append((plots.jumps_at_switches(record, reference), text))
     return figures(
-        (
-            plots.cost_distribution(costs, record.budget_us),
-            "How large a share of ticks takes longer than the time below; the upright line is the budget.",
-        ),
         (
             plots.force_and_speed(record, reference, thresholds_mm_s=list(thresholds)),
             "Rendered force beside the finest level's, the hand's speed with the thresholds, and the level in use.",
         ),
         (
-            plots.jumps_at_switches(record, reference),
-            "What each change of level in contact did to the force, beyond what the finest level did then.",
+            plots.cost_distribution(costs, record.budget_us),
+            "How large a share of ticks takes longer than the time below; the upright line is the budget.",
         ),
+        *drawn,
     )
 
 
@@ -280,15 +283,18 @@ def _provenance(held: Bundle) -> list[str]:
     for key in ("scan", "tool", "station", "golden_motion"):
         if isinstance(manifest.get(key), dict):
             rows.append((key.replace("_", " "), _flat(manifest[key])))
-    motions = manifest.get("motions")
-    if isinstance(motions, list):
-        rows.append(("motions kept apart", "; ".join(_flat(m) for m in motions if isinstance(m, dict))))
+    apart = manifest.get("motions")
+    motions = [(m.get("name", ""), _flat(m)) for m in apart if isinstance(m, dict)] if isinstance(apart, list) else []
     digests = [(section.name, section.length, section.digest.hex()) for section in held.sections]
     return [
         table(("what", "from"), rows, "What the bundle was made of", texts=2),
+        folded("Motions kept apart", table(("motion", "made of"), motions, "As the bundle says", texts=2)),
         folded("Digests of every section", table(("section", "bytes", "BLAKE2b-256"), digests, "As stored")),
     ]
 
 
 def _flat(value: Json) -> str:
-    return ", ".join(f"{k} {Path(v).name if k == 'source' else v}" for k, v in value.items() if v not in (None, "", {}))
+    def text(key: str, held: Any) -> str:
+        return Path(held).name if key == "source" else f"{held:.6g}" if isinstance(held, float) else str(held)
+
+    return ", ".join(f"{key} {text(key, held)}" for key, held in value.items() if held not in (None, "", {}))

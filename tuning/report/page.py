@@ -33,8 +33,9 @@ def section(heading: str, *parts: str) -> str:
 
 
 def words(text: str, *, quiet: bool = False) -> str:
-    """A paragraph."""
-    return f"<p{' class=quiet' if quiet else ''}>{escape(text)}</p>"
+    """A paragraph; what stands between backticks is to be typed."""
+    parts = [f"<code>{part}</code>" if i % 2 else part for i, part in enumerate(escape(text).split("`"))]
+    return f"<p{' class=quiet' if quiet else ''}>{''.join(parts)}</p>"
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[object]], caption: str, *, texts: int = 1) -> str:
@@ -47,7 +48,7 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[object]], caption: st
     head = "".join(cell("th", i, heading) for i, heading in enumerate(headings))
     body = "".join(f"<tr>{''.join(cell('td', i, value) for i, value in enumerate(row))}</tr>" for row in rows)
     return (
-        f'<div class="scroll"><table><caption>{escape(caption)}</caption><thead><tr>{head}</tr></thead>'
+        f'<div class="scroll"><table><caption><span>{escape(caption)}</span></caption><thead><tr>{head}</tr></thead>'
         f"<tbody>{body}</tbody></table></div>"
     )
 
@@ -59,7 +60,7 @@ def figures(*drawn: tuple[Figure, str]) -> str:
 
 def _figure(figure: Figure, text: str) -> str:
     data = base64.b64encode(svg_of(figure).encode()).decode()
-    title = figure.get_suptitle()
+    title = " ".join(figure.get_suptitle().split())
     alt = escape(f"{title}. {text}", quote=True)
     return (
         f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{alt}">'

@@ -124,11 +124,7 @@ def _exceedance(curves: Mapping[str, tuple[Array, Array]], budget_us: float, tit
             cost[kept], above[kept], where="post", color=COLOURS[i % 8], ls=DASHES[i % 8], label=name,
             lw=1.8 if name == "all" else 1.2,
         )  # fmt: skip
-    axes.axvline(budget_us, color="black", lw=1.4)
-    axes.annotate(
-        f"budget {budget_us:g} µs", (budget_us, 0.97), xycoords=("data", "axes fraction"), xytext=(-3, 0),
-        textcoords="offset points", rotation=90, va="top", ha="right", fontsize=8,
-    )  # fmt: skip
+    _budget_line(axes, budget_us, f"budget {budget_us:g} µs")
     axes.axhline(1e-3, color="black", lw=0.7, ls=(0, (1, 2)))
     axes.annotate("p99.9", (0.005, 1e-3), xycoords=("axes fraction", "data"), fontsize=8, va="bottom")
     axes.set_xscale("log")
@@ -137,6 +133,15 @@ def _exceedance(curves: Mapping[str, tuple[Array, Array]], budget_us: float, tit
     axes.set_ylabel("share of ticks above")
     figure.legend(loc="outside lower left", ncols=3)
     return figure
+
+
+def _budget_line(axes: Axes, at: float, text: str) -> None:
+    """An upright line that says what it is, beside it."""
+    axes.axvline(at, color="black", lw=1.4)
+    axes.annotate(
+        text, (at, 0.97), xycoords=("data", "axes fraction"), xytext=(-3, 0), textcoords="offset points",
+        rotation=90, va="top", ha="right", fontsize=8, bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
+    )  # fmt: skip
 
 
 @styled
@@ -179,7 +184,8 @@ def predicted_and_measured(
     axes.axvline(1.0, color="black", lw=0.9)
     for i, (_, said, was) in enumerate(shown):
         axes.plot(said / was, i, "o", color=BLUE)
-        axes.annotate(f"{said:.3g} / {was:.3g}", (1.01, i), xycoords=("axes fraction", "data"), va="center", fontsize=8)
+        text = f"{_three_digits(said)} / {_three_digits(was)}"
+        axes.annotate(text, (1.01, i), xycoords=("axes fraction", "data"), va="center", fontsize=8)
     axes.set_yticks(range(len(shown)), [_RATIO_METRICS[key] for key, _, _ in shown])
     axes.set_ylim(max(len(shown), 1) - 0.5, -0.5)
     axes.set_xscale("log")
@@ -190,6 +196,10 @@ def predicted_and_measured(
     if not shown:
         axes.text(0.5, 0.5, "nothing to compare", transform=axes.transAxes, ha="center")
     return figure
+
+
+def _three_digits(value: float) -> str:
+    return np.format_float_positional(value, precision=3, fractional=False, trim="-")
 
 
 _RATIO_METRICS = {
@@ -252,11 +262,7 @@ def cost_and_feel(
         if found:
             share, jnd = np.array(found).T
             axes.plot(share, jnd, MARKERS[i % 8], color=COLOURS[i % 8], mfc="none", ms=5, label=name)
-    axes.axvline(1.0, color="black", lw=1.4)
-    axes.annotate(
-        "budget", (1.0, 0.98), xycoords=("data", "axes fraction"), xytext=(-3, 0), textcoords="offset points",
-        rotation=90, va="top", ha="right", fontsize=8,
-    )  # fmt: skip
+    _budget_line(axes, 1.0, "budget")
     axes.set_xscale("log")
     axes.set_yscale("symlog", linthresh=0.1)
     most = max((jnd for found in points.values() for _, jnd in found), default=1.0)

@@ -6,6 +6,7 @@ import io
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -35,6 +36,7 @@ _STYLE: Any = {
     "svg.fonttype": "none", "svg.hashsalt": "hapticlod", "path.simplify": True, "path.simplify_threshold": 0.3,
 }  # fmt: skip
 MOST_POINTS = 1600
+TITLE_PER_IN = 11.6  # characters of a title that fit
 
 
 Plot = TypeVar("Plot", bound=Callable[..., Figure])
@@ -55,6 +57,7 @@ def panels(title: str, heights: Sequence[float], *, width_in: float = WIDTH_IN) 
     """A figure with axes one above the other that share x; `heights` in inches."""
     figure = Figure(figsize=(width_in, sum(heights) + 0.75))
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=list(heights))[:, 0]
+    title = "\n".join(wrap(title, round(TITLE_PER_IN * width_in)))
     figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
     return figure, list(axes)
 

@@ -151,12 +151,19 @@ typedef struct hlod_options {
 /* The version this library was built with; differs from HLOD_ABI_VERSION when header and library do not match. */
 HLOD_API uint32_t hlod_abi_version(void) HLOD_NOEXCEPT;
 
-/* Opens and checks a bundle: structure, digests, and every index and number in it. */
+/* Opens and checks a bundle: structure, digests, and every index and number in it. A large one is read by several
+ * threads, which are gone when this returns. */
 HLOD_API hlod_status hlod_bundle_open(const char* path, hlod_bundle** bundle, char* message,
                                       size_t message_bytes) HLOD_NOEXCEPT;
 
-/* The same for a bundle in memory: `data` at a multiple of 64 bytes, unchanged and alive until bundle and renderers are
- * closed. `name` is for messages and may be NULL. */
+/* The same, quick from the second time on: the large arrays of a file that was found right since the machine was
+ * started and was not written since are not read again. record_path is where that is kept, a file of this user's own;
+ * NULL: in the user's cache folder, as hapticlod-station does. Without a place for it this is hlod_bundle_open. */
+HLOD_API hlod_status hlod_bundle_open_known(const char* path, const char* record_path, hlod_bundle** bundle,
+                                            char* message, size_t message_bytes) HLOD_NOEXCEPT;
+
+/* hlod_bundle_open for a bundle in memory: `data` at a multiple of 64 bytes, unchanged and alive until bundle and
+ * renderers are closed. `name` is for messages and may be NULL. */
 HLOD_API hlod_status hlod_bundle_open_memory(const void* data, size_t bytes, const char* name, hlod_bundle** bundle,
                                              char* message, size_t message_bytes) HLOD_NOEXCEPT;
 HLOD_API void hlod_bundle_close(hlod_bundle* bundle) HLOD_NOEXCEPT;
