@@ -12,10 +12,11 @@ import jax
 import numpy as np
 
 from hapticlod.errors import InputError
-from hapticlod.ladder import Ladder, build_ladder
+from hapticlod.ladder import Ladder
 from hapticlod.motion import MODES, Motion, lay_on_scan, near_share, synthesise
 from hapticlod.perception import Perception, load_perception
 from hapticlod.scan import Scan
+from hapticlod.scene_ladder import ladder_of
 from hapticlod.station import CostCoefficients, Station
 from hapticlod.surrogate.measurement import LadderMeasurement
 from hapticlod.tool import Tool
@@ -130,7 +131,7 @@ def prepare(
     ladder_key = kept.key_of("ladder", scan.digest, kept.code_digest())
     ladder = kept.load("ladders", ladder_key)
     if ladder is None:
-        ladder = build_ladder(scan, progress=told)
+        ladder = ladder_of(scan, progress=told)
         _ = ladder.rungs[-1].rms_mm
         kept.store("ladders", ladder_key, ladder)
     given = tuple(motion.digest for motion in motions or ())

@@ -61,11 +61,11 @@ double time_of_touch(const Triangle& triangle, const Vec3& p, const Vec3& step, 
     return t;
 }
 
-void ContactSolver::bind(const ActiveLevel& level, const Kernels& kernels, const Tolerances& tolerances) {
+void ContactSolver::bind(const SceneLevel& level, const Kernels& kernels, const Tolerances& tolerances) {
     kernels_ = &kernels;
     tolerances_ = tolerances;
-    mean_edge_mm_ = double{level.view.hash->mean_edge_mm};
-    cell_mm_ = level.view.hash->cell_mm;
+    mean_edge_mm_ = level.mean_edge_mm;
+    cell_mm_ = level.cell_mm;
     candidates_.bind(level, kernels);
     face_ = {};
     sole_ = false;
@@ -134,7 +134,8 @@ void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCoun
             }
             const Touch touch{d - ball.kept,
                               {n, dot(n, c.point) + ball.kept, c.point + ball.offset, ball.kept - ball.radius,
-                               candidates_.triangle_id(i, k), candidates_.ball(i), i, k}};
+                               candidates_.triangle_id(i, k), candidates_.ball(i), i, static_cast<std::uint16_t>(k),
+                               candidates_.part(i)}};
             for (; at > 0 && touches_[at - 1].clearance > touch.clearance; --at) touches_[at] = touches_[at - 1];
             touches_[at] = touch;
         }
