@@ -47,7 +47,7 @@ def tuned_by_hand(scan: Scan, station: Station, tool: Tool, *, seed: int) -> tun
     levels = (Level(triangles=scan.triangles, cell_mm=2.0), Level(triangles=321, cell_mm=4.0))
     nothing: dict[str, Any] = {
         "measured": {}, "clock": {}, "baselines": {}, "ticks": {}, "feasible": {}, "candidates": (), "stages_s": {},
-        "population": {}, "sensitivities": {}, "motions": (), "costing": None,
+        "population": {}, "sensitivities": {}, "motions": (), "golden": None, "costing": None,
     }  # fmt: skip
     return tuning.tune.TuneResult(
         config=LodConfig(name="tuned", speeds_mm_s=(20.0,), levels=levels), ladder=build_ladder(scan),

@@ -90,7 +90,7 @@ def test_an_interrupted_tuning_goes_on_after_the_last_stage_it_finished(
     def again(*args: object, **kwargs: object) -> None:
         raise AssertionError("the ladder was made again")
 
-    monkeypatch.setattr(tuning.prepare, "build_ladder", again)
+    monkeypatch.setattr(tuning.prepare, "ladder_of", again)
     second: list[str] = []
     with pytest.raises(KeyboardInterrupt):
         prepare(ball, station, point(), progress=until_motions(second))

@@ -154,10 +154,11 @@ def test_the_distance_policy_follows_the_exact_distance(name: str, hysteresis: f
 
 def test_shading_takes_facets_away_on_a_coarse_level(globe: Ladder) -> None:
     tool = ball(0.5)
-    motion = synthesise(globe.scan, "trace", seconds=2.0, loop_hz=1000.0, seed=1, tool=tool)
-    reference = replay(scheme("fixed_finest").on(globe, tool), globe, motion, tool)
-    found = {
-        name: measure(replay(scheme(name).on(globe, tool), globe, motion, tool), reference)
-        for name in ("fixed_coarse", "fixed_coarse_shaded")
-    }
-    assert found["fixed_coarse_shaded"]["facet_vibration_n"] < 0.6 * found["fixed_coarse"]["facet_vibration_n"]
+    found = {"fixed_coarse": 0.0, "fixed_coarse_shaded": 0.0}
+    for seed in range(4):  # one stroke may happen to cross few edges
+        motion = synthesise(globe.scan, "trace", seconds=2.0, loop_hz=1000.0, seed=seed, tool=tool)
+        reference = replay(scheme("fixed_finest").on(globe, tool), globe, motion, tool)
+        for name in found:
+            record = replay(scheme(name).on(globe, tool), globe, motion, tool)
+            found[name] += measure(record, reference)["facet_vibration_n"]
+    assert found["fixed_coarse_shaded"] < 0.6 * found["fixed_coarse"]

@@ -15,7 +15,7 @@ from hapticlod.shipped import shipped_config
 from hapticlod.station import load_station
 from hapticlod.tool import ball
 from tuning.prepare import Prepared, prepare
-from tuning.search import Found, _first
+from tuning.search import Found, heads_of
 
 RADIUS_MM = 10.0
 STATION = load_station(shipped_config("stations/desktop_1khz.toml"))
@@ -81,6 +81,6 @@ def test_levels_that_come_out_alike_are_one() -> None:
 def test_what_is_not_finite_is_named() -> None:
     broken = {"felt_error_jnd": float("nan"), "discontinuity_per_s": 1.0, "loop_cost_p999_us": float("inf")}
     with pytest.raises(ArithmeticError, match="2 levels: not finite from any start: felt_error_jnd, loop_cost_p999_us"):
-        _first([Found(np.zeros(3), float("nan"), 0.0, broken)] * 2, 2)
+        heads_of([Found(np.zeros(3), float("nan"), 0.0, broken)] * 2, 2)
     good = Found(np.ones(3), 1.0, 0.0, {})
-    assert _first([Found(np.zeros(3), float("nan"), 0.0, broken), good], 2) is good
+    assert heads_of([Found(np.zeros(3), float("nan"), 0.0, broken), good], 2) == [good]

@@ -94,14 +94,12 @@ def tune_command(
     if json is not None:
         check_writable(json, [*inputs, output])
     target = _adjusted(load_station(station or shipped_config(DEFAULT_STATION)), loop_hz, budget_us)
-    signing, of_key = own_or_first_key() if key is None else (load_key(key), "")
+    signing = None if key is None else load_key(key)
     made_of = None if materials is None else load_materials(materials)
     held = load_tool(tool or shipped_config(DEFAULT_TOOL))
     recorded = [motion for path in motions for motion in load_motion(path, target.loop_hz)]
 
     notes = Console(stderr=True, highlight=False)
-    if of_key:
-        notes.print(of_key, markup=False, soft_wrap=True)
     with StageProgress(notes) as progress:
         progress("load and clean the scan", 0.0)
         from hapticlod.material import material_lines
@@ -114,6 +112,10 @@ def tune_command(
             cleaned = made_of.applied(cleaned)
         for line in [*cleaned.report.lines(), *material_lines(cleaned, target.stiffness_n_mm)]:
             notes.print(f"    {line}", markup=False)
+        if key is None:  # not before there is something to sign: a refused scan leaves no key behind
+            signing, of_key = own_or_first_key()
+            if of_key:
+                notes.print(f"    {of_key}", markup=False, soft_wrap=True)
         from tuning.deliver import document, write_tuned
         from tuning.tune import tune
 

@@ -51,7 +51,11 @@ class DaskWorkers:
         address = scheduler
         if scheduler == LOCAL:
             self._cluster = distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, resources={TIMING: 1}, dashboard_address="", protocol="tcp://"
+                n_workers=workers,
+                threads_per_worker=1,
+                resources={TIMING: 1},
+                dashboard_address="127.0.0.1:0",
+                protocol="tcp://",
             )
             address = self._cluster.scheduler_address
         try:
