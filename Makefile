@@ -16,7 +16,7 @@ PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
 .PHONY: help setup tools configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-usb-vm test-circle \
     test-python lint format demo bench bench-quick bench-station bench-open soak fuzz station-static \
-    evaluate-surrogate bench-tuners clean
+    evaluate-surrogate bench-tuners optimiser-cases scans-table soak-scans mutate-scans clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -125,12 +125,27 @@ fuzz: test-sanitized-build  ## 10^7 mutated bundles, motions, key files and prof
 soak: build  ## random motions against the invariants of contact: TICKS=1e8, or make soak TICKS=1e6
 	@$(RELEASE)/bench/soak $(TICKS)
 
+DATA ?= $(or $(HAPTICLOD_DATA),../shared/data)
+scans-table: product  ## every file of DATA/dirty and DATA/meshes checked and tuned, as a table; goes on where it was: [ONLY="part part"] [TOOL=file] [STATION=file] [KEEP=1]
+	@$(BIN)/python -m benchmarks.scans_table --data "$(DATA)" $(if $(ONLY),--only $(ONLY)) $(if $(TOOL),--tool "$(TOOL)") $(if $(STATION),--station "$(STATION)") $(if $(KEEP),--keep)
+
+soak-scans: TICKS := $(if $(filter command line,$(origin TICKS)),$(TICKS),1e6)
+soak-scans: product  ## random hands on every scan of DATA, judged by geometry of its own: TICKS=1e6 each [ONLY="part part"] [SEED=0]
+	@$(BIN)/python -m benchmarks.soak_scans --data "$(DATA)" --ticks $(TICKS) $(if $(ONLY),--only $(ONLY)) $(if $(SEED),--seed $(SEED))
+
+CASES ?= 2000
+mutate-scans: product  ## CASES=2000 crops of scans with random faults: loaded, simplified and touched as the report says?
+	@HAPTICLOD_MUTATIONS=$(CASES) $(BIN)/python -m pytest -q -n auto tests/test_scan_mutations.py
+
 evaluate-surrogate: build  ## predictions against measurements: SCAN=file [MOTIONS="a.csv b.csv"] [TOOL=file] [CONFIGS=60] [JSON=out.json]
 	@$(BIN)/python benchmarks/evaluate_surrogate.py $(if $(SCAN),--scan="$(SCAN)") $(if $(MOTIONS),--motions="$(MOTIONS)") $(if $(TOOL),--tool="$(TOOL)") $(if $(STATION),--station="$(STATION)") $(if $(CONFIGS),--configs="$(CONFIGS)") $(if $(SEED),--seed="$(SEED)") $(if $(UNIT),--unit="$(UNIT)") $(if $(JSON),--json="$(JSON)")
 
 bench-tuners: build  ## our tuner against Optuna TPE, CMA-ES, random search, a grid: SCAN=file [TOOL=file] [EVALUATIONS=400] [SECONDS_EACH=0] [BUDGET=us] [JSON=out.json]
 	@$(BIN)/python -c "import cmaes, optuna" 2>/dev/null || $(BIN)/pip install -q --no-build-isolation -e '.[bench]'
 	@$(BIN)/python -m benchmarks.bench_tuners $(if $(SCAN),--scan="$(SCAN)") $(if $(MOTIONS),--motions="$(MOTIONS)") $(if $(TOOL),--tool="$(TOOL)") $(if $(STATION),--station="$(STATION)") $(if $(BUDGET),--budget-us="$(BUDGET)") $(if $(EVALUATIONS),--evaluations="$(EVALUATIONS)") $(if $(SECONDS_EACH),--seconds="$(SECONDS_EACH)") $(if $(SEED),--seed="$(SEED)") $(if $(UNIT),--unit="$(UNIT)") $(if $(JSON),--json="$(JSON)")
+
+optimiser-cases: build  ## our search against SLSQP with the same gradients, on surrogates: [BUDGETS=4] [STARTS=4] [SCANS="a.ply b.ply"] [JSON=out.json]
+	@$(BIN)/python -m benchmarks.optimiser_cases $(if $(BUDGETS),--budgets="$(BUDGETS)") $(if $(STARTS),--starts="$(STARTS)") $(if $(SCANS),--scans="$(SCANS)") $(if $(JSON),--json="$(JSON)")
 
 clean:  ## remove build products (keeps .venv)
 	@rm -rf build dist hapticlod/_runtime.*

@@ -17,7 +17,8 @@ class Taken:
 
     Attributes:
         status: exit status; negative: the signal that ended it; None: it was stopped after `limit_s`.
-        wall_s, processor_s: seconds. peak_mb: greatest resident memory of the process, 10^6 bytes.
+        wall_s, processor_s: seconds. peak_mb: greatest resident memory of the process, 10^6 bytes; Linux counts from
+            the fork on, so it is never less than what the caller held then.
         out, err: what it printed.
     """
 
@@ -57,7 +58,8 @@ def run_measured(command: Sequence[str], limit_s: float, environment: Mapping[st
         wall_s = time.monotonic() - begun
         child.returncode = os.waitstatus_to_exitcode(ended[1])  # waited for: Popen need not
         used = ended[2]
-        out.seek(0), err.seek(0)
+        out.seek(0)
+        err.seek(0)
         return Taken(
             status=None if late else child.returncode,
             wall_s=wall_s,

@@ -11,9 +11,9 @@ from hapticlod.closest import SurfaceIndex
 from hapticlod.topology import edge_table
 
 _CHUNK = 20_000
-# A point on the surface has no side: it is looked at a little off, toward where it is held from. Only a way that leads
-# through at all three distances counts, since at one of them it may graze an edge or pass another wall of a fold.
-OFF_SLACKS = (5.0, 1.5, 20.0)
+# A way that grazes an edge may count it twice or not at all: a way leads through if it does so however its ends are
+# shifted, by this part of the ball's radius.
+_SHIFTS, _SHIFT_OF_RADIUS = 3, 0.3
 
 
 class Crossings:
@@ -77,9 +77,11 @@ def _crosses(p: np.ndarray, q: np.ndarray, corners: np.ndarray) -> np.ndarray:
 class Judge:
     """Holds the places of a tool of one ball against one level's mesh.
 
+    The ball needs a radius: a point's SCP lies on the surface, and in a sharp groove no direction tells its side.
+
     Args:
         vertices: (n, 3), what the runtime has of them: float32, relative to its origin. faces: (m, 3).
-        radius_mm: of the ball. slack_mm: what the solver may be off by.
+        radius_mm: of the ball, above slack_mm: what the solver may be off by.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, radius_mm: float, slack_mm: float) -> None:
@@ -93,23 +95,24 @@ class Judge:
             return np.inf
         return float(self._surface.nearest(scp).distance_mm.min()) - self._radius_mm
 
-    def through(self, scp: np.ndarray, pull: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    def through(self, scp: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """Which steps lead through the surface, as indices.
 
         A ball that is nowhere nearer than its radius cannot have passed a surface by a step shorter than its diameter;
-        longer ones, and all of a point, must cross an even number of times, but round a border.
+        longer ones must cross an even number of times, but round a border.
 
         Args:
-            scp: (T, 3). pull: (T, 3), SCP less HIP, 0 out of contact. steps: indices t of steps t-1 to t to judge.
+            scp: (T, 3). steps: indices t of steps t-1 to t to judge.
         """
+        rng = np.random.default_rng(0)
         way = np.linalg.norm(scp[steps] - scp[steps - 1], axis=1)
-        suspect = steps[way >= 2.0 * max(self._radius_mm - self._slack_mm, 0.0)]
-        length = np.linalg.norm(pull, axis=1, keepdims=True)
-        out = pull / np.maximum(length, 1e-12)
-        for slacks in OFF_SLACKS:
+        suspect = steps[way >= 2.0 * (self._radius_mm - self._slack_mm)]
+        for number in range(_SHIFTS):
             if len(suspect) == 0:
                 return suspect
-            off = scp + out * (slacks * self._slack_mm if self._radius_mm == 0.0 else 0.0)
-            suspect = suspect[self._crossings.count(off[suspect - 1], off[suspect]) % 2 == 1]
-        reach = np.linalg.norm(scp[suspect] - scp[suspect - 1], axis=1) + OFF_SLACKS[-1] * self._slack_mm
+            shift = rng.normal(size=(2, len(suspect), 3)) if number else np.zeros((2, len(suspect), 3))
+            shift *= _SHIFT_OF_RADIUS * self._radius_mm / np.maximum(np.linalg.norm(shift, axis=2, keepdims=True), 1.0)
+            crossed = self._crossings.count(scp[suspect - 1] + shift[0], scp[suspect] + shift[1])
+            suspect = suspect[crossed % 2 == 1]
+        reach = np.linalg.norm(scp[suspect] - scp[suspect - 1], axis=1) + 2.0 * self._radius_mm
         return suspect[~self._crossings.near_border(scp[suspect], reach)]

@@ -73,7 +73,7 @@ def clean(
         faces = flip_caps(vertices, faces[~repeated], height, source)
         flat = is_flat(vertices, faces, height)
         faces, source = faces[~flat], source[~flat]
-        _some_left(faces, where, "every face is degenerate (without area)")
+        _some_left(faces, where, f"every face is lower than {height:.3g} mm, 1e-7 of its extent, so it has no normal")
         # Where dust lies in heaps, contracting it takes faces along that were not flat themselves.
         left_over = np.zeros(len(usable), dtype=bool)
         left_over[source] = True

@@ -175,7 +175,7 @@ class TestTuning:
 
     KEYS: ClassVar = {
         "levels", "speeds_mm_s", "hysteresis", "l_in_mm", "l_out_mm", "blend_ms", "filter_hz", "predicted", "measured",
-        "baselines", "stages_s", "population", "sensitivities",
+        "baselines", "stages_s", "population", "sensitivities", "repair", "ladder",
     }  # fmt: skip
 
     def test_json_holds_the_configuration_and_its_numbers(self, tuned: SimpleNamespace) -> None:
@@ -190,6 +190,9 @@ class TestTuning:
         assert told["feasible"] is True and told["explanation"]
         assert {"residual", "reliable", "budget_us", "memory_mb"} == told["sensitivities"].keys()
         assert told["population"] == {"over": "pooled"}
+        rungs = told["ladder"]["rungs"]
+        assert rungs[0]["triangles"] == told["repair"]["triangles"] and rungs[0]["hausdorff_mm"] == 0.0
+        assert all(0.5 < rung["area_part"] < 1.5 and rung["components"] >= 1 for rung in rungs)
         assert all(seconds >= 0 for seconds in told["stages_s"].values()) and "optimise" in told["stages_s"]
 
     def test_the_table_shows_every_column_at_80_characters(self, tuned: SimpleNamespace) -> None:

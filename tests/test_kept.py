@@ -56,7 +56,8 @@ def test_a_large_entry_is_written_without_a_copy(cache: Path) -> None:
         assert tracemalloc.get_traced_memory()[1] < 4e6
     finally:
         tracemalloc.stop()
-    assert np.array_equal(kept.load("kind", "large"), large)
+    found = kept.load("kind", "large")
+    assert found is not None and np.array_equal(found, large)
 
 
 class Unwilling:

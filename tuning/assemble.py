@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_samples
 from hapticlod.surrogate.ladder_curves import LadderCurves, ladder_curves
@@ -205,6 +204,8 @@ def _cost_model(data: LadderData, curves) -> CostModel:
 
 def cost_groups(velocity_mm_s: Array, clock: Clock) -> NDArray[np.intp]:
     """(windows,) group of each window: about `_GROUP_TICKS` ticks of one motion at about one speed of the hand."""
+    from scipy.signal import lfilter  # takes a second to import, and what is assembled here is kept between runs
+
     window = clock.ticks_per_bin * clock.bins_per_window
     gain = np.exp(-2 * np.pi * _GROUP_HZ / clock.loop_hz)
     number, speed, at = [], [], 0

@@ -1,33 +1,51 @@
-"""Compiled surrogates are kept between runs: the second scan with the same tool does not compile again."""
+"""Compiled surrogates are kept between runs: the second scan of a shape neither traces nor compiles again.
+
+Two caches. The executable itself lies under the hash of everything it depends on, and is read back without tracing,
+which would take seconds. jax's own cache, keyed by the program that tracing gives, serves where a line of ours that
+changed nothing in the program made the first one miss.
+"""
 
 from __future__ import annotations
 
+import os
+import platform
 from collections.abc import Callable
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import equinox as eqx
 import jax
+from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
+from tuning import kept
 from tuning.user_cache import cache_folder
 
-# XLA's fusion emitters double the time of code generation on a CPU, and what they make runs no faster (measured on the
-# surrogate and its slopes; docs/decisions.md). Options of a backend that is not there are refused, so only on a CPU.
-_CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+# XLA's fusion emitters double the time of code generation on a CPU, and its higher levels of optimisation add another
+# half; what they make of the surrogate and its slopes runs no faster (measured; docs/decisions.md D20, D56). Options of
+# a backend that is not there are refused, so only on a CPU.
+_CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`eqx.filter_jit` of a function that is expensive to compile. The backend is chosen at the first call."""
-    made: list[Callable[..., Any]] = []
+    """`eqx.filter_jit` of a function that is expensive to compile; results are built of tuples, lists and dicts.
+
+    The backend is chosen at the first call. Calls from several threads compile once.
+    """
+    made: dict[Any, Any] = {}
+    lock = Lock()
 
     def call(*args: Any) -> Any:
-        if not made:
-            options = _CPU_OPTIONS if jax.default_backend() == "cpu" else {}
-
-            def run(arrays: Any, fixed: Any) -> Any:
-                return function(*eqx.combine(arrays, fixed))
-
-            made.append(jax.jit(run, static_argnums=1, compiler_options=options))
-        return made[0](*eqx.partition(args, eqx.is_array))
+        arrays, fixed = eqx.partition(args, eqx.is_array)
+        leaves, tree = jax.tree.flatten(arrays)
+        signature = (tree, tuple((x.shape, str(x.dtype), x.weak_type) for x in leaves), fixed)
+        if signature not in made:
+            with lock:
+                if signature not in made:
+                    made[signature] = _executable(function, leaves, tree, fixed, signature)
+        return made[signature](leaves)
 
     return call
 
@@ -42,3 +60,60 @@ def keep_compiled() -> None:
             return  # no place to keep anything: compile each time
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+def _executable(function: Callable[..., Any], leaves: list, tree: Any, fixed: Any, signature: Any) -> Any:
+    """From the user's cache, or compiled and kept there. Where nothing is to be kept, jax's cache is off, too."""
+    keeping = getattr(jax.config, "jax_compilation_cache_dir", None) is not None
+    named = f"{function.__module__}.{function.__qualname__}"
+    key = kept.key_of("executable", named, signature, kept.code_digest(), *_backend()) if keeping else ""
+    stored = kept.load("executables", key) if keeping else None
+    if stored is not None:
+        try:
+            _load_linear_algebra()
+            return deserialize_and_load(*stored)
+        except Exception:  # of an XLA that is not quite the same: as good as absent
+            stored = None
+
+    def run(leaves: list) -> Any:
+        return function(*eqx.combine(jax.tree.unflatten(tree, leaves), fixed))
+
+    executable = jax.jit(run).lower(leaves).compile(compiler_options=_options())
+    if keeping:
+        kept.store("executables", key, serialize(executable))
+    return executable
+
+
+@lru_cache(maxsize=1)
+def _load_linear_algebra() -> None:
+    """jax looks up the addresses of LAPACK's functions when it first translates a program that calls them, and an
+    executable that was read back calls them without having been translated: it would jump to address 0."""
+
+    def factor(matrix: Any) -> Any:
+        return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix), matrix)
+
+    jax.jit(factor).lower(jax.ShapeDtypeStruct((2, 2), "float32"))
+
+
+def _options() -> dict[str, Any]:
+    """On a CPU ours, but what the user says in XLA_FLAGS goes first."""
+    said = os.environ.get("XLA_FLAGS", "")
+    chosen = _CPU_OPTIONS if jax.default_backend() == "cpu" else {}
+    return {name: value for name, value in chosen.items() if name not in said}
+
+
+@lru_cache(maxsize=1)
+def _backend() -> tuple[str, ...]:
+    """What machine code is made for and by: a home folder may be shared by unlike machines."""
+    device = jax.devices()[0]
+    client = device.client
+    made_by = jax.__version__, version("jaxlib"), client.platform, client.platform_version, device.device_kind
+    return (*made_by, platform.machine(), _cpu_features(), repr(_options()), os.environ.get("XLA_FLAGS", ""))
+
+
+def _cpu_features() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line for line in lines if line.lower().startswith(("flags", "features"))), platform.processor())

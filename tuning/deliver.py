@@ -12,7 +12,7 @@ import numpy as np
 import hapticlod
 from hapticlod.bundle import write_bundle
 from hapticlod.material import COLUMNS
-from hapticlod.replay import Record, replay_levels, runtime_levels
+from hapticlod.replay import replay_levels, runtime_levels
 
 if TYPE_CHECKING:
     from hapticlod.config import LodConfig
@@ -102,11 +102,8 @@ def write_tuned(
         InputError: the file cannot be written.
     """
     config = as_built(result)
-    levels = runtime_levels(config, result.ladder)
-    shown = [
-        (motion, replay_levels(levels, config, scan.centre_mm, motion, tool, station, 1)) for motion in result.motions
-    ]
-    golden, record = max(shown, key=lambda pair: _variety(pair[1]))
+    levels, golden = runtime_levels(config, result.ladder), result.golden
+    record = replay_levels(levels, config, scan.centre_mm, golden, tool, station, 1)
     told = document(result, scan)
     del told["stages_s"]  # times of this run: the same answer is to give the same file
     write_bundle(
@@ -145,11 +142,6 @@ def _materials(scan: Scan) -> dict[str, list[float]] | None:
         return None
     stated = {name: column[~np.isnan(column)] for name, column in zip(COLUMNS, scan.face_materials.T, strict=True)}
     return {name: [float(x.min()), float(x.max())] for name, x in stated.items() if len(x)}
-
-
-def _variety(record: Record) -> tuple[int, int]:
-    """Levels used in contact, and switches."""
-    return len(np.unique(record.level[record.contact])), int(np.count_nonzero(np.diff(record.level)))
 
 
 def _about(motion: Motion) -> dict[str, Any]:

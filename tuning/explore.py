@@ -81,7 +81,9 @@ def explore(
             found = search.best(count, limits_of(station, correction), seed, found.x)
         for turn in range(ROUNDS + RESCUES):
             candidate = measured(count, found, limits_of(station, asked.value))
-            more = asked.corrected(candidate, station)
+            # Asked for less, the search gave what it gave before: there is nothing cheaper to be had of it.
+            stuck = any(turn and candidate.config == other.config for other in made[:-1])
+            more = asked.corrected(candidate, station) and not stuck
             if not more or turn + 1 >= ROUNDS + (0 if np.isfinite(best()) else RESCUES):
                 break
             stages("optimise", len(made) / (len(counts) * ROUNDS))

@@ -120,7 +120,7 @@ def pareto(
     ready = prepare(scan, station, tool, motions, seed=seed, progress=stages)
     stages("follow the front", 0.0)
     # One search, one objective: its trace of cost is measured by the station's budget at every point.
-    search = Search(ready.measured, ready.space, station.budget_us, over, len(ready.seen))
+    search = Search(ready.measured, ready.space, station.budget_us, over, len(ready.seen), ready.key)
     counts = [k for k in range(levels[0], levels[1] + 1) if ready.space.fits(k)] or [1]
     asked = budgets_us or _budgets_us(search, ready, tool, station, points)
     best = follow(search, ready.space, counts, asked, station.memory_mb, seed, stages)

@@ -49,7 +49,8 @@ class SequentialQuadratic(optx.AbstractMinimiser):
     `upper`, shape (n,), and optionally `linear = (A, b)`, shapes (p, n) and (p,), and `most_steps`, which ends the
     search as a success: unlike `max_steps` it may be traced, so that short and long searches share compiled code. y0
     must satisfy bounds and linear rows. Scale y so that bounds are about one apart, and f and g so that 1 is a large
-    change.
+    change. `options["cheap"] = (h, k)` adds constraints h(y, args) <= 0, shape (k,), that share nothing with fn: they
+    follow those of fn in every array, and are differentiated apart, so that they cost no pass backwards through fn.
 
     The value returned is the best point met by exact-penalty merit; `aux` of the solution belongs to the last point
     tried, so evaluate g again where it matters. A step whose f or g is not finite is rejected and the region shrinks.
@@ -63,7 +64,7 @@ class SequentialQuadratic(optx.AbstractMinimiser):
     most_penalty: float = 1e5
 
     def init(self, fn, y, args, options: dict[str, Any], f_struct, aux_struct, tags) -> _State:
-        n, m = y.shape[0], aux_struct.shape[0]
+        n, m = y.shape[0], aux_struct.shape[0] + options.get("cheap", (None, 0))[1]
         zero = jnp.zeros((), y.dtype)
         return _State(
             value=zero,
@@ -122,8 +123,9 @@ class SequentialQuadratic(optx.AbstractMinimiser):
 
         # Once forward, for value and slopes: what is compiled is half as large, and few steps are rejected.
         outcome, pull = jax.vjp(both, trial)
-        value, excess = outcome[0], outcome[1:]
-        finite = jnp.all(jnp.isfinite(outcome))
+        cheap, _ = options.get("cheap", (lambda y, args: jnp.zeros(0, y.dtype), 0))
+        value, excess = outcome[0], jnp.concatenate([outcome[1:], cheap(trial, args)])
+        finite = jnp.isfinite(value) & jnp.all(jnp.isfinite(excess))
         merit = state.value + state.penalty * _violation(state.excess)
         trial_merit = value + state.penalty * _violation(excess)
         ratio = (merit - trial_merit) / jnp.maximum(state.predicted, jnp.finfo(y.dtype).tiny)
@@ -136,8 +138,8 @@ class SequentialQuadratic(optx.AbstractMinimiser):
 
         def moved(state: _State) -> _State:
             # One row after the other: batching the rows of a memory-bound backward pass made it slower, measured.
-            slopes = jax.lax.map(lambda row: pull(row)[0], jnp.eye(1 + excess.shape[0], dtype=trial.dtype))
-            gradient, jacobian = slopes[0], slopes[1:]
+            slopes = jax.lax.map(lambda row: pull(row)[0], jnp.eye(outcome.shape[0], dtype=trial.dtype))
+            gradient, jacobian = slopes[0], jnp.concatenate([slopes[1:], jax.jacrev(cheap)(trial, args)])
             # Curvature of the Lagrangian along the step, damped to stay positive definite.
             change = gradient - state.gradient + state.multipliers @ (jacobian - state.jacobian)
             along = trial - y
@@ -183,7 +185,7 @@ class SequentialQuadratic(optx.AbstractMinimiser):
             step, predicted, jnp.where(better, new_y, state.best_y), jnp.minimum(merit_now, best_merit),
             jnp.array(False), state.steps + 1, done, result,
         )  # fmt: skip
-        return new_y, state, state.excess
+        return new_y, state, excess[: outcome.shape[0] - 1]
 
     def terminate(self, fn, y, args, options, state: _State, tags):
         return state.done, state.result

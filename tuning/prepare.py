@@ -34,7 +34,7 @@ APART_S = (24.0, 18.0, 12.0, 8.0, 6.0, 3.0)
 # Of the surrogate's motions, the part that shows the feel and what switches do.
 FELT_S = (12.0, 6.0, 4.0, 2.5)
 # What they may cost, s.
-SEEN_REPLAY_S, APART_REPLAY_S, FELT_REPLAY_S = 14.0, 10.0, 6.0
+SEEN_REPLAY_S, APART_REPLAY_S, FELT_REPLAY_S = 14.0, 5.0, 6.0
 _SWITCHED = 10.0  # cost of a replay that switches, in replays that stay on a level
 NEAR_MM = 2.0
 _TOUR_MM = 4.0  # a tour's mapping length, in offsets between rungs
@@ -137,7 +137,10 @@ def prepare(
         kept.store("samples", key, sampled)
     told("build the surrogate", 0.0)
     with jax.enable_x64(True):
-        measured = assemble(sampled.data, station.stiffness_n_mm, sampled.space.dwell_ms * 1e-3)
+        measured = kept.load("assembled", key)
+        if measured is None:
+            measured = assemble(sampled.data, station.stiffness_n_mm, sampled.space.dwell_ms * 1e-3)
+            kept.store("assembled", key, measured)
     costing = replace(sampled.costing, station=station)
     return Prepared(ladder, sampled.seen, sampled.apart, sampled.data, costing, sampled.space, measured, key)
 

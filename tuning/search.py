@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -16,21 +16,30 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from hapticlod.surrogate.measurement import LadderMeasurement
-from hapticlod.surrogate.surrogate import predict_members
+from hapticlod.surrogate.surrogate import memory_mb, predict_members
+from tuning import kept
 from tuning.compile_cache import compiled
+from tuning.known import Known, KnownPoints
 from tuning.objective import COST_WEIGHT, disturbance, objective
 from tuning.optimise import SequentialQuadratic
 from tuning.population import POOLED, over_motions
 from tuning.sample import threads
 from tuning.space import Space, decode
 
-SCREENED, STARTS = 24, 4  # points looked at per level count, and those of them that are searched from
+# Points looked at per level count, those of them that are searched from, and the ends of these that are gone on with:
+# the best of them after a few soft steps is often not the one that ends best.
+SCREENED, STARTS, HEADS = 24, 6, 3
 MARGIN = 0.98  # of the budget that the surrogate may use
 # Switching is sharpened in stages: a soft trigger sees further, a sharp one counts right (PERCEPTION.md section 2).
 SOFT, SHARP = 6.0, 20.0
 SOFT_STEPS, MOST_STEPS = 8, 40
+FOLLOWED = 3  # level counts that are searched again where another budget was searched before
 _FEASIBLE = 1e-3
-_PROMISE = 2.0  # what a start's excess, in ln of its limit, weighs against its objective
+# What a start's excess, in ln of its limit, weighs against its objective, and what it weighs for a third of the starts:
+# where budgets are tight, the best of points that break them are all alike and far from any that does not.
+_PROMISE, _CAREFUL = 2.0, 10.0
+# Ends are searched from again, with a curvature that begins anew, while that gains so much; also with a level more.
+POLISHED, POLISH_ROUNDS, _GAIN = 2, 3, 3e-3
 
 
 @dataclass(frozen=True)
@@ -59,7 +68,11 @@ class Found:
     @property
     def promise(self) -> float:
         """Smaller is a better start; not finite comes last."""
-        value = self.objective + _PROMISE * max(self.excess, 0.0)
+        return self.promising(_PROMISE)
+
+    def promising(self, weight: float) -> float:
+        """The promise, the excess weighed so."""
+        value = self.objective + weight * max(self.excess, 0.0)
         return value if np.isfinite(value) else np.inf
 
 
@@ -99,40 +112,55 @@ def _metrics(
 
 
 def value_and_excess(x: Float[Array, " n"], args: Any) -> tuple[Array, Array]:
-    """Objective, and ln of p99.9 cost and memory over their limits. `args`: measured, problem, sharpness."""
+    """Objective, and ln of p99.9 cost over its limit, (1,). `args`: measured, problem, sharpness."""
     measured, problem, sharpness = args
     found, value = _metrics(x, measured, problem, sharpness)
-    over = [found["loop_cost_p999_us"] / problem.budget_us, found["memory_mb"] / problem.memory_mb]
-    return value, jnp.log(jnp.stack(over))
+    return value, jnp.log(found["loop_cost_p999_us"] / problem.budget_us)[None]
 
 
-@compiled
-def _solve(
+def memory_excess(x: Float[Array, " n"], args: Any) -> Array:
+    """ln of memory over its limit, (1,). `args` as above."""
+    measured, problem, _ = args
+    parameters = decode(problem.log_low + x * problem.log_span, problem.levels)
+    return jnp.log(memory_mb(measured, parameters) / problem.memory_mb)[None]
+
+
+def solve(
     x0: Array, measured: LadderMeasurement, problem: Problem, sharpness: Array, most_steps: Array
 ) -> tuple[Array, tuple[Array, Array, Array]]:
     """The best point met, and gradient, excess and Jacobian at the last: after one step that is x0."""
     options = {"lower": jnp.zeros_like(x0), "upper": jnp.ones_like(x0), "linear": (problem.rows, problem.row_limits)}
-    options["most_steps"] = most_steps
+    options |= {"most_steps": most_steps, "cheap": (memory_excess, 1)}
     solver = SequentialQuadratic()
     args = (measured, problem, sharpness)
     found = optx.minimise(value_and_excess, solver, x0, args, options, has_aux=True, max_steps=MOST_STEPS, throw=False)
     return found.value, (found.state.gradient, found.state.excess, found.state.jacobian)
 
 
-_look = compiled(_metrics)
+_solve, _look = compiled(solve), compiled(_metrics)
 
 
 class Search:
-    """Optimises on one surrogate; level counts, limits and starts are arguments."""
+    """Optimises on one surrogate; level counts, limits and starts are arguments.
+
+    Args:
+        measured, space: the surrogate and its box. budget_us: the station's.
+        over, motions: as in `Problem`.
+        key: of measured and space. With it, what was looked at and found is kept between runs, and a search for
+            another budget begins there; without, nothing is.
+    """
 
     def __init__(
-        self, measured: LadderMeasurement, space: Space, budget_us: float, over: str = POOLED, motions: int = 1
-    ) -> None:
+        self, measured: LadderMeasurement, space: Space, budget_us: float, over: str = POOLED, motions: int = 1,
+        key: str = "",
+    ) -> None:  # fmt: skip
         self._measured, self._space, self._budget_us = measured, space, budget_us
         self._over, self._motions = over, motions
         self._compiled = False
+        self._known = KnownPoints(kept.key_of(key, over) if key else "")
 
-    def _problem(self, levels: int, limits: Limits) -> Problem:
+    def problem(self, levels: int, limits: Limits) -> Problem:
+        """What compiled code is told of a search for so many levels under these limits."""
         low, high = self._space.log_bounds
         rows, row_limits = self._space.order_rows(levels)
         scalars = (levels, limits.budget_us, limits.memory_mb, self._budget_us)
@@ -161,6 +189,12 @@ class Search:
             ArithmeticError: the objective is finite from no start; it names the terms that are not.
         """
         near = near or {}
+        asked = tuple(counts), limits, seed, self._budget_us, sorted((k, x.tobytes()) for k, x in near.items())
+        return self._known.answer(asked, lambda: self._best_of_each(counts, limits, seed, near))
+
+    def _best_of_each(
+        self, counts: Sequence[int], limits: Limits, seed: int, near: Mapping[int, NDArray[np.float64]]
+    ) -> dict[int, Found]:
         held = Limits(MARGIN * limits.budget_us, limits.memory_mb)
 
         def solved(task: tuple[int, NDArray[np.float64], float]) -> Found:
@@ -168,20 +202,69 @@ class Search:
             with jax.enable_x64(True):  # of this thread
                 x0 = jnp.asarray(self._space.ordered(start, levels))
                 steps = jnp.asarray(SOFT_STEPS if sharpness < SHARP else MOST_STEPS)
-                best, _ = _solve(x0, self._measured, self._problem(levels, held), jnp.asarray(sharpness), steps)
+                best, _ = _solve(x0, self._measured, self.problem(levels, held), jnp.asarray(sharpness), steps)
                 x = np.asarray(best)
             return self.look(self._space.ordered(x, levels), levels, limits)
 
-        heads = dict(near)
         with ThreadPoolExecutor(threads()) as pool:
             self._compile(pool, counts[0], held)
-            soft = [(k, x, SOFT) for k in counts if k not in near for x in self._starts(pool, k, held, seed)]
+            before = self._known.best([k for k in counts if k not in near], lambda known: self._promise(known, held))
+            soft = [
+                (k, x, SOFT)
+                for k in counts if k not in near and k not in before for x in self.starts(pool, k, held, seed)
+            ]  # fmt: skip
             found = list(zip((k for k, _, _ in soft), pool.map(solved, soft), strict=True))
-            for levels in counts:
-                if levels not in heads:
-                    heads[levels] = _first([f for k, f in found if k == levels], levels).x
-            sharp = [(k, heads[k], SHARP) for k in counts]
-            return dict(zip(counts, pool.map(solved, sharp), strict=True))
+            sharp = [(k, x, SHARP) for k, x in near.items()]
+            sharp += [(k, before[k], SHARP) for k in list(before)[:FOLLOWED]]
+            for levels in dict.fromkeys(k for k, _ in found):
+                sharp += [(levels, f.x, SHARP) for f in heads_of([f for k, f in found if k == levels], levels)]
+            ends: dict[int, Found] = {}
+            for (levels, _, _), end in zip(sharp, list(pool.map(solved, sharp)), strict=True):
+                if levels not in ends or end.rank < ends[levels].rank:
+                    ends[levels] = end
+            if soft:
+                self._polish(ends, pool, solved)
+        ends |= {k: self.look(self._space.ordered(x, k), k, limits) for k, x in before.items() if k not in ends}
+        for levels, end in [*found, *ends.items()]:
+            self._know(levels, end)
+        return {levels: ends[levels] for levels in counts}
+
+    def _polish(self, ends: dict[int, Found], pool: ThreadPoolExecutor, solved: Callable[[Any], Found]) -> None:
+        """Searches on from the best ends, in place, and from the best of all with a level more that is hardly used."""
+        for _ in range(POLISH_ROUNDS):
+            first = sorted(ends, key=lambda k: ends[k].rank)[:POLISHED]
+            again = [(k, ends[k].x, SHARP) for k in first]
+            if first[0] + 1 in ends:
+                again.append((first[0] + 1, self._space.widened(ends[first[0]].x, first[0]), SHARP))
+            before = ends[first[0]]
+            for (levels, _, _), found in zip(again, list(pool.map(solved, again)), strict=True):
+                if found.rank < ends[levels].rank:
+                    ends[levels] = found
+            best = min(ends.values(), key=lambda found: found.rank)
+            if best.rank[0] == before.rank[0] and best.rank[1] > (1.0 - _GAIN) * before.rank[1]:
+                return
+
+    def _promise(self, known: Known, limits: Limits) -> float:
+        """As `Found.promise`."""
+        value = known.felt + COST_WEIGHT * known.mean_us / self._budget_us
+        excess = np.log(max(known.p999_us / limits.budget_us, known.memory_mb / limits.memory_mb))
+        return float(value + _PROMISE * max(excess, 0.0))
+
+    def _know(self, levels: int, found: Found) -> None:
+        mean_us = found.predicted["loop_cost_mean_us"]
+        felt = found.objective - COST_WEIGHT * mean_us / self._budget_us
+        p999_us, memory_mb = found.predicted["loop_cost_p999_us"], found.predicted["memory_mb"]
+        self._known.add(Known(levels, found.x, felt, mean_us, p999_us, memory_mb))
+
+    @property
+    def measured(self) -> LadderMeasurement:
+        """The surrogate's arrays."""
+        return self._measured
+
+    @property
+    def space(self) -> Space:
+        """The box."""
+        return self._space
 
     def _compile(self, pool: ThreadPoolExecutor, levels: int, limits: Limits) -> None:
         """Both compiled functions at the same time; a thread each, since concurrent first calls would compile twice."""
@@ -192,18 +275,28 @@ class Search:
         def build() -> None:
             with jax.enable_x64(True):
                 one = jnp.asarray(1)
-                _solve(jnp.asarray(x), self._measured, self._problem(levels, limits), jnp.asarray(SOFT), one)
+                _solve(jnp.asarray(x), self._measured, self.problem(levels, limits), jnp.asarray(SOFT), one)
 
         wait = pool.submit(build)
         self.look(x, levels, limits)
         wait.result()
         self._compiled = True
 
-    def _starts(self, pool: ThreadPoolExecutor, levels: int, limits: Limits, seed: int) -> list[NDArray[np.float64]]:
-        """The most promising of many points: a look costs less than a step, and most points are far from the best."""
-        points = list(self._space.sample(SCREENED, levels, seed))
+    def starts(self, pool: ThreadPoolExecutor, levels: int, limits: Limits, seed: int) -> list[NDArray[np.float64]]:
+        """The most promising of many points, since a look costs less than a step. One of them keeps the limits, or
+        breaks them least: from points that all break them a search may end where it cannot break them less."""
+        points = [*self._space.sample(SCREENED, levels, seed), *self._space.anchors(levels)]
         looks = list(pool.map(lambda x: self.look(x, levels, limits), points))
-        return [points[i] for i in sorted(range(SCREENED), key=lambda i: looks[i].promise)[:STARTS]]
+        for look in looks:
+            self._know(levels, look)
+        order = sorted(range(len(points)), key=lambda i: looks[i].promise)
+        careful = sorted(range(len(points)), key=lambda i: looks[i].promising(_CAREFUL))
+        safest = min(order, key=lambda i: max(looks[i].excess, 0.0) if np.isfinite(looks[i].promise) else np.inf)
+        bold = order[: STARTS - STARTS // 3]
+        chosen = [*bold, *[i for i in careful if i not in bold][: STARTS // 3]]
+        if safest not in chosen and all(looks[i].excess > 0.0 for i in chosen):
+            chosen[-1] = safest
+        return [points[i] for i in chosen]
 
     def slopes(
         self, x: NDArray[np.float64], levels: int, limits: Limits
@@ -212,7 +305,7 @@ class Search:
         Jacobian (2, n). By the code that was compiled for searching."""
         held = Limits(MARGIN * limits.budget_us, limits.memory_mb)
         with jax.enable_x64(True):
-            asked = jnp.asarray(x), self._measured, self._problem(levels, held), jnp.asarray(SHARP), jnp.asarray(1)
+            asked = jnp.asarray(x), self._measured, self.problem(levels, held), jnp.asarray(SHARP), jnp.asarray(1)
             gradient, excess, jacobian = map(np.asarray, _solve(*asked)[1])
         return gradient, excess, jacobian
 
@@ -220,7 +313,7 @@ class Search:
         """What the surrogate says of x."""
         with jax.enable_x64(True):
             sharpness = jnp.asarray(SHARP)
-            raw, value = _look(jnp.asarray(x), self._measured, self._problem(levels, limits), sharpness)
+            raw, value = _look(jnp.asarray(x), self._measured, self.problem(levels, limits), sharpness)
             predicted = {name: float(value) for name, value in raw.items()}
         excess = max(
             np.log(predicted["loop_cost_p999_us"] / limits.budget_us),
@@ -229,10 +322,10 @@ class Search:
         return Found(np.asarray(x), float(value), float(excess), predicted)
 
 
-def _first(found: Sequence[Found], levels: int) -> Found:
-    """The best that is finite."""
+def heads_of(found: Sequence[Found], levels: int) -> list[Found]:
+    """The best that are finite: those of soft searches that are worth a sharp one. Raises ArithmeticError: none is."""
     finite = [f for f in found if np.isfinite(f.objective)]
     if not finite:
         broken = sorted(name for name, value in found[0].predicted.items() if not np.isfinite(value))
         raise ArithmeticError(f"{levels} levels: not finite from any start: {', '.join(broken)}")
-    return min(finite, key=lambda f: f.rank)
+    return sorted(finite, key=lambda f: f.rank)[:HEADS]

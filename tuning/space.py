@@ -230,9 +230,25 @@ class Space:
             parts.append(log / span if span > 0 else np.zeros(len(log)))
         return np.clip(np.concatenate(parts), 0.0, 1.0)
 
+    def anchors(self, levels: int) -> NDArray:
+        """(4, n) points at the ends of the ladder: coarsest and finest levels and tools, small cells and large."""
+        points = np.tile(np.array([0.3, 0.6, 0.3, 0.6])[:, None], self.size)
+        points[:, : 2 * self.most_levels] = np.array([0.0, 0.0, 1.0, 1.0])[:, None]
+        return np.stack([self.ordered(point, levels) for point in points])
+
+    def widened(self, x: NDArray, levels: int) -> NDArray:
+        """x of so many levels with one more below, which only the fastest hand reaches."""
+        wider = np.array(x, dtype=np.float64)
+        wider[3 * self.most_levels + levels - 1 :][: self.most_levels - levels] = 1.0
+        return self.ordered(wider, levels + 1)
+
     def sample(self, count: int, levels: int, seed: int) -> NDArray:
         """(count, n) Latin hypercube points that keep the order."""
-        from scipy.stats import qmc
-
-        points = qmc.LatinHypercube(self.size, rng=np.random.default_rng(seed)).random(count)
+        # The points of scipy.stats.qmc.LatinHypercube, which takes more than a second to import.
+        random = np.random.default_rng(seed).spawn(1)[0]
+        within = random.uniform(size=(count, self.size))
+        strata = np.tile(np.arange(1, count + 1), (self.size, 1))
+        for row in strata:
+            random.shuffle(row)
+        points = (strata.T - within) / count
         return np.stack([self.ordered(point, levels) for point in points])

@@ -32,7 +32,7 @@ from tuning.verify import Verifier
 # How often the search goes on with a smaller budget because the clock says more than the counters, and how many
 # configurations that hold the budget by their counters are asked of the clock each time.
 CLOCK_ROUNDS, ASKED = 3, 2
-SHOWN_S = 8.0  # what a baseline that cannot be chosen may cost to measure, s of loop cost
+SHOWN_S = 2.0  # what a baseline that cannot be chosen may cost to measure, s of loop cost
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,8 @@ class TuneResult:
         population: `over`, and what each motion kept apart makes of the configuration, unless they were pooled.
         sensitivities: what more budget or memory would change, by the surrogate: `tuning.sensitivity`.
         explanation: one paragraph.
-        ladder, motions: what the bundle is made of; `motions` are those kept apart.
+        ladder, motions: what the bundle is made of; `motions` are those kept apart, `golden` the one of them that shows
+            most of the configuration.
     """
 
     config: LodConfig
@@ -68,6 +69,7 @@ class TuneResult:
     explanation: str
     ladder: Ladder
     motions: tuple[Motion, ...]
+    golden: Motion
     costing: Costing
 
 
@@ -101,7 +103,7 @@ def tune(
     keep_compiled()
     stages = Stages(progress)
     ready = prepare(scan, station, tool, motions, seed=seed, progress=stages)
-    search = Search(ready.measured, ready.space, station.budget_us, over, len(ready.seen))
+    search = Search(ready.measured, ready.space, station.budget_us, over, len(ready.seen), ready.key)
     verifier = Verifier(ready.ladder, tool, station, ready.apart, ready.costing, ready.key)
 
     def judged(config: LodConfig, metrics: dict[str, float]) -> float:
@@ -149,6 +151,7 @@ def tune(
         explanation=" ".join(filter(None, reasons)),
         ladder=ready.ladder,
         motions=ready.apart,
+        golden=verifier.most_varied(chosen.config),
         costing=ready.costing,
     )
 

@@ -31,12 +31,14 @@ class Measured:
     """What one run over all motions gave.
 
     `metrics` are those of `hapticlod.metrics`, costs by counters; `counted_us` the costs behind them and `clock_us`
-    what the clock said, on the station and without interrupts: one (T,) float32 array per motion.
+    what the clock said, on the station and without interrupts: one (T,) float32 array per motion. `variety` of each
+    motion: how many levels were used in contact, and switches.
     """
 
     metrics: dict[str, float]
     counted_us: tuple[NDArray[np.float32], ...]
     clock_us: tuple[NDArray[np.float32], ...]
+    variety: tuple[tuple[int, int], ...]
 
 
 @dataclass
@@ -118,10 +120,15 @@ class Verifier:
                 if self.key:
                     kept.store("reference", kept.key_of("reference", self.key), records)
             counted = tuple(record.cost_us.astype(np.float32) for record in records)
-            found = Measured(measure(records, self.reference()), counted, clock)
+            found = Measured(measure(records, self.reference()), counted, clock, tuple(map(_variety, records)))
             if self.key:
                 kept.store("measured", asked, found)
         return found
+
+    def most_varied(self, config: LodConfig) -> Motion:
+        """The motion that shows most of a configuration: most levels in contact, then most switches."""
+        variety = self.run(config).variety
+        return self.motions[max(range(len(self.motions)), key=variety.__getitem__)]
 
     def first(self, seconds: float) -> Verifier:
         """A verifier of the first so many seconds of every motion."""
@@ -170,6 +177,10 @@ def clock_metrics(costs_us: Sequence[NDArray]) -> dict[str, float]:
     every = np.concatenate(costs_us).astype(np.float64)
     quantiles = np.quantile(every, list(CLOCK_QUANTILES.values()))
     return {"loop_cost_mean_us": float(every.mean()), **dict(zip(CLOCK_QUANTILES, map(float, quantiles), strict=True))}
+
+
+def _variety(record: Record) -> tuple[int, int]:
+    return len(np.unique(record.level[record.contact])), int(np.count_nonzero(np.diff(record.level)))
 
 
 def _misses(costs_us: Sequence[NDArray], budget_us: float) -> dict[str, float]:

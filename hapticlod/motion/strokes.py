@@ -8,7 +8,6 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, lfilter, sosfiltfilt
 
 Array = NDArray[np.float64]
 Mode = Literal["probe", "trace", "scan", "transfer"]
@@ -64,6 +63,8 @@ def brownian_heading(ticks: int, rng: np.random.Generator, rad_per_root_s: float
 
 def tremor_mm(ticks: int, rng: np.random.Generator, *, rms_mm: float = 0.03, centre_hz: float = 10.0) -> Array:
     """Physiological tremor (T, 3) mm at `BASE_HZ`: white noise through a resonator of quality 5."""
+    from scipy.signal import lfilter  # takes a second to import: not for those who only read motions
+
     angle = 2.0 * np.pi * centre_hz / BASE_HZ
     radius = np.exp(-angle / (2.0 * 5.0))
     feedback = np.array([1.0, -2.0 * radius * np.cos(angle), radius * radius])
@@ -77,6 +78,8 @@ def tremor_mm(ticks: int, rng: np.random.Generator, *, rms_mm: float = 0.03, cen
 
 def slow_noise(ticks: int, rng: np.random.Generator, cutoff_hz: float = 3.0) -> Array:
     """Noise (T,) of rms 1 below `cutoff_hz`, at `BASE_HZ`."""
+    from scipy.signal import butter, sosfiltfilt  # as above
+
     pad = round(BASE_HZ)
     noise = rng.normal(size=ticks + 2 * pad)
     slow = np.asarray(sosfiltfilt(butter(2, cutoff_hz, fs=BASE_HZ, output="sos"), noise))[pad:-pad]

@@ -105,9 +105,9 @@ def tune_command(
     with StageProgress(notes) as progress:
         progress("load and clean the scan", 0.0)
         from hapticlod.material import material_lines
-        from hapticlod.scan import load_scan
+        from tuning.kept_scan import load_kept_scan
 
-        cleaned = load_scan(scan, unit, strict=strict)
+        cleaned = load_kept_scan(scan, unit, strict=strict)
         if made_of is not None:
             cleaned = made_of.applied(cleaned)
         for line in [*cleaned.report.lines(), *material_lines(cleaned, target.stiffness_n_mm)]:

@@ -109,11 +109,11 @@ def _cells(rows: Sequence[Row]) -> str:
         if not row.is_done:
             made.append((*head, *["-"] * 5, row.error or "not timed"))
             continue
-        m, load = row.metrics, (row.timing or {})["load"]
+        m, load = row.metrics, "counted" if _counted(row) else f"{(row.timing or {})['load']['others_cores']:.2f}"
         made.append(
             (
                 *head, f"{m['loop_cost_p999_us']:.1f}", f"{m['felt_error_jnd']:.2f}", f"{m['discontinuity_per_s']:.3f}",
-                f"{m['switches_per_s']:.2f}", "yes" if holds(row) else "no", f"{load['others_cores']:.2f}",
+                f"{m['switches_per_s']:.2f}", "yes" if holds(row) else "no", load,
             )
         )  # fmt: skip
     numbers = ("p99.9 µs", "felt JND", "jumps 1/s", "switches 1/s", "holds", "other load, cores")
@@ -121,9 +121,13 @@ def _cells(rows: Sequence[Row]) -> str:
     return table(headings, made, "In the order of names", texts=5)
 
 
+def _counted(row: Row) -> bool:
+    return row.about["station"].get("cost") is not None
+
+
 def _provenance(rows: Sequence[Row], done: Sequence[Row], runs: Sequence[dict[str, Any]]) -> list[str]:
     codes = sorted({row.code for row in rows})
-    loads = [(row.timing or {})["load"]["others_cores"] for row in done]
+    loads = [(row.timing or {})["load"]["others_cores"] for row in done if not _counted(row)]
     told = [f"Code version {', '.join(codes)}."]
     if len(codes) > 1:
         told.append("Cells of several code versions are shown together: measure again to compare them.")
@@ -132,6 +136,8 @@ def _provenance(rows: Sequence[Row], done: Sequence[Row], runs: Sequence[dict[st
             f"While ticks were timed, other programs kept {np.median(loads):.2f} cores busy in the median and "
             f"{max(loads):.2f} at most; a tick's time is its least over three runs."
         )
+    if len(loads) < len(done):
+        told.append("What ticks cost on a station with coefficients of its own was counted, not timed.")
     started = [(run["started"], run.get("hapticlod"), run.get("processor"), run.get("kernels"), run.get("cells"))
                for run in runs]  # fmt: skip
     stations = {row.station: row.about["station"] for row in rows}

@@ -124,7 +124,7 @@ def _exceedance(curves: Mapping[str, tuple[Array, Array]], budget_us: float, tit
             cost[kept], above[kept], where="post", color=COLOURS[i % 8], ls=DASHES[i % 8], label=name,
             lw=1.8 if name == "all" else 1.2,
         )  # fmt: skip
-    _budget_line(axes, budget_us, f"budget {budget_us:g} µs")
+    _budget_line(axes, budget_us, f"budget {budget_us:g} µs", 0.03)  # below the curves
     axes.axhline(1e-3, color="black", lw=0.7, ls=(0, (1, 2)))
     axes.annotate("p99.9", (0.005, 1e-3), xycoords=("axes fraction", "data"), fontsize=8, va="bottom")
     axes.set_xscale("log")
@@ -135,12 +135,12 @@ def _exceedance(curves: Mapping[str, tuple[Array, Array]], budget_us: float, tit
     return figure
 
 
-def _budget_line(axes: Axes, at: float, text: str) -> None:
-    """An upright line that says what it is, beside it."""
+def _budget_line(axes: Axes, at: float, text: str, height: float) -> None:
+    """An upright line that says what it is, beside it, at the height of a share of the axes."""
     axes.axvline(at, color="black", lw=1.4)
     axes.annotate(
-        text, (at, 0.97), xycoords=("data", "axes fraction"), xytext=(-3, 0), textcoords="offset points",
-        rotation=90, va="top", ha="right", fontsize=8, bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
+        text, (at, height), xycoords=("data", "axes fraction"), xytext=(-3, 0), textcoords="offset points",
+        rotation=90, va="bottom" if height < 0.5 else "top", ha="right", fontsize=8,
     )  # fmt: skip
 
 
@@ -262,7 +262,7 @@ def cost_and_feel(
         if found:
             share, jnd = np.array(found).T
             axes.plot(share, jnd, MARKERS[i % 8], color=COLOURS[i % 8], mfc="none", ms=5, label=name)
-    _budget_line(axes, 1.0, "budget")
+    _budget_line(axes, 1.0, "budget", 0.97)
     axes.set_xscale("log")
     axes.set_yscale("symlog", linthresh=0.1)
     most = max((jnd for found in points.values() for _, jnd in found), default=1.0)
@@ -290,7 +290,8 @@ def metric_by_scan(
         axes.set_xscale("log")
     else:
         axes.set_xscale("symlog", linthresh=0.1)
-        axes.set_xlim(left=-0.01)
+        most = max((value for found in values.values() for value in found.values()), default=1.0)
+        axes.set_xlim(-0.01, max(1.4 * most, 0.2))
     if line is not None:
         axes.axvline(line, color="black", lw=1.4)
     axes.set_xlabel(unit)
