@@ -114,9 +114,9 @@ bench-open: build  ## from opening 2.6 M triangles, or BUNDLE=file, to the first
 
 TICKS ?= 100000000
 RUNS ?= 1e7
-fuzz: test-sanitized-build  ## 10^7 mutated bundles, motions, key files and profiles under sanitizers: hours; make fuzz RUNS=1e6
+fuzz: test-sanitized-build  ## 10^7 mutated bundles, motions and key files under sanitizers: hours; make fuzz RUNS=1e6
 	@command -v clang++ >/dev/null || { echo "make fuzz needs libFuzzer: apt-get install clang"; exit 1; }
-	@for target in bundle motion trusted_keys device_profile; do \
+	@for target in bundle motion trusted_keys; do \
 	    mkdir -p build/fuzz/$$target; \
 	    $(SANITIZED)/fuzz/$${target}_fuzz -runs=$$(printf %.0f $(RUNS)) -timeout=60 -max_len=16384 -print_final_stats=1 \
 	        -artifact_prefix=build/fuzz/$$target- build/fuzz/$$target runtime/fuzz/corpus/$$target || exit 1; \

@@ -12,6 +12,7 @@ from hapticlod.ladder import Ladder, Rung
 from hapticlod.layout import RECORD_DTYPE
 from hapticlod.material import to_runtime
 from hapticlod.motion import Motion
+from hapticlod.scene_ladder import SceneRung
 from hapticlod.station import Station
 from hapticlod.tool import Tool
 
@@ -100,7 +101,12 @@ def local_vertices(rung: Rung, origin_mm: np.ndarray) -> np.ndarray:
 
 
 def runtime_level(rung: Rung, origin_mm: np.ndarray, cell_mm: float) -> Any:
-    """A rung as a level of the runtime, its voxel hash built."""
+    """A rung as a level of the runtime, its voxel hash built; of a scene, a level of every part.
+
+    `cell_mm` is then for the scene's mean edge: each part has cells of as many of its own mean edges.
+    """
+    if isinstance(rung, SceneRung):
+        return scene_level(rung, origin_mm, cell_mm, None, None)
     faces = np.ascontiguousarray(rung.faces, dtype=np.uint32)
     materials = None if rung.materials is None else to_runtime(rung.materials)
     return _runtime.Level(local_vertices(rung, origin_mm), faces, cell_mm, materials)
@@ -109,7 +115,30 @@ def runtime_level(rung: Rung, origin_mm: np.ndarray, cell_mm: float) -> Any:
 def runtime_levels(config: LodConfig, ladder: Ladder) -> list[Any]:
     """Every level of a configuration, built from the ladder of its scan."""
     origin = ladder.scan.centre_mm
-    return [runtime_level(ladder.at(level.triangles), origin, level.cell_mm) for level in config.levels]
+    levels: list[Any] = []
+    rung_before = None
+    for level in config.levels:
+        rung = ladder.at(level.triangles)
+        if isinstance(rung, SceneRung):
+            levels.append(scene_level(rung, origin, level.cell_mm, rung_before, levels[-1] if levels else None))
+            rung_before = rung
+        else:
+            levels.append(runtime_level(rung, origin, level.cell_mm))
+    return levels
+
+
+def scene_level(
+    rung: SceneRung, origin_mm: np.ndarray, cell_mm: float, finer: SceneRung | None, finer_level: Any
+) -> Any:
+    """A rung of a scene as a level of the runtime. Parts that are as on the finer level keep what was built for it."""
+    edges = cell_mm / rung.mean_edge_mm
+    made: list[Any] = []
+    for i, part in enumerate(rung.parts):
+        if finer is not None and finer.parts[i] is part:
+            made.append(finer_level.parts[i])
+        else:
+            made.append(runtime_level(part, origin_mm, edges * part.mean_edge_mm))
+    return _runtime.SceneLevel(made, cell_mm, rung.hidden)
 
 
 def replay_levels(

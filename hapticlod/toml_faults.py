@@ -36,7 +36,7 @@ def pointed(fault: ErrorDetails) -> tuple[str | int, ...]:
     """The path a fault is about; for faults of a whole table the key in it that is to blame."""
     context = fault.get("ctx", {})
     if fault["type"] == "fault_at":
-        return (*fault["loc"], *context["field"].split("."))
+        return (*fault["loc"], *(int(key) if key.isdigit() else key for key in context["field"].split(".")))
     if fault["type"].startswith("union_tag"):
         return (*fault["loc"], context["discriminator"].strip("'"))
     return fault["loc"]

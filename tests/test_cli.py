@@ -132,6 +132,16 @@ class TestOtherFiles:
         line = refused(capsys, "tune", scan_file, "-o", station.with_suffix(".hlod"), "--station", station)
         assert "desk.toml:3" in line and "budgget_us" in line
 
+    def test_a_station_file_that_is_something_else(self, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        for text, named in (
+            ('name = "ball"\nkind = "ball"\nradius_mm = 1.0\n', "kind"),
+            ("[robot]\nhz = 1\n", "robot"),
+        ):
+            station = scan_file.parent / "other.toml"
+            station.write_text(text)
+            line = refused(capsys, "tune", scan_file, "-o", station.with_suffix(".hlod"), "--station", station)
+            assert "other.toml" in line and named in line
+
     def test_a_tool_that_is_no_toml(self, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
         tool = scan_file.parent / "burr.toml"
         tool.write_text("name = \n")
@@ -148,7 +158,9 @@ class TestOtherFiles:
             line = refused(capsys, "tune", scan_file, "-o", scan_file.parent / "x.hlod", "--materials", made_of)
             assert named in line
 
-    @pytest.mark.parametrize("option", ["--budget-us=0", "--budget-us=-5", "--loop-hz=0", "--budget-us=nan"])
+    @pytest.mark.parametrize(
+        "option", ["--budget-us=0", "--budget-us=1e9", "--budget-us=-5", "--loop-hz=0", "--budget-us=nan"]
+    )
     def test_stations_that_cannot_be(self, option: str, scan_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
         line = refused(capsys, "tune", scan_file, "-o", scan_file.with_suffix(".hlod"), option)
         assert option.split("=")[0].strip("-").replace("-", "_") in line

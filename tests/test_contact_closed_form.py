@@ -83,6 +83,30 @@ def test_sphere_within_its_facets(radius_mm: float) -> None:
         assert np.abs(height - surface).max() < MICRON_MM
 
 
+@pytest.mark.parametrize("slope_deg", [20.0, 30.0, 40.0])
+@pytest.mark.parametrize("depth_mm", [0.2, 0.3, 0.45])
+@pytest.mark.parametrize("ahead_mm", [1e-5, 3e-4, 3e-3])
+def test_a_slow_slide_does_not_leap_over_where_it_ends(slope_deg: float, depth_mm: float, ahead_mm: float) -> None:
+    """A ball over a roof's ridge, the HIP below it: it rolls off slowly at first, and is held by the flank beyond.
+
+    The flank is narrow and ends in an open border: who leaps over it meets the roof from below.
+    """
+    slope, width_mm, radius_mm = np.radians(slope_deg), 0.4, 1.0
+    profile = np.array([[-2.0, 0.0], [-1.0, 0.0], [0.0, 0.0], [width_mm * np.cos(slope), -width_mm * np.sin(slope)]])
+    along = np.arange(-6.0, 7.0)
+    vertices = np.array([[x, y, z] for y in along for x, z in profile])
+    first = np.array([row * 4 + k for row in range(len(along) - 1) for k in range(3)])
+    faces = np.concatenate([np.stack([first, first + 1, first + 5], 1), np.stack([first, first + 5, first + 4], 1)])
+    hip = np.tile([-0.3, 0.07, -depth_mm], (4, 1))
+    hip[0, 2] = radius_mm + 0.5
+    hip[2:, 0] = ahead_mm
+    rows = Core([(vertices, faces)], point_or_ball(radius_mm)).replay(hip)
+    assert rows["scp_mm"][1] == pytest.approx([-0.3, 0.07, radius_mm], abs=MICRON_MM)
+    normal = np.array([np.sin(slope), 0.0, np.cos(slope)])
+    on_flank = hip[3] + (radius_mm - hip[3] @ normal) * normal
+    assert rows["scp_mm"][3] == pytest.approx(on_flank, abs=MICRON_MM)
+
+
 def test_force_is_clamped_in_its_direction() -> None:
     hip = pressed(np.linspace(0.0, 5.0, 100), 0.0, 100)
     rows = plane_core(max_force_n=2.0).replay(hip)

@@ -10,7 +10,7 @@ from motion_shapes import Mesh, plate, sphere
 from hapticlod.errors import InputError
 from hapticlod.motion import MODES, load_motion, save_motion, synthesise
 from hapticlod.motion.hand import shaft_orientation
-from hapticlod.motion.strokes import BASE_HZ, slow_noise, tremor_mm
+from hapticlod.motion.strokes import BASE_HZ, slow_noise, spread_normals, tremor_mm
 from hapticlod.motion.surface import Surface
 from hapticlod.tool import ball, load_tool
 
@@ -242,3 +242,15 @@ def test_saved_motion_comes_back(tmp_path: Path, plate_mesh: Mesh) -> None:
     np.testing.assert_allclose(again.position_mm, motion.position_mm, atol=1e-8)
     assert again.orientation is not None and motion.orientation is not None
     np.testing.assert_allclose(again.orientation, motion.orientation, atol=1e-8)
+
+
+def test_few_contacts_show_the_whole_spread_of_forces() -> None:
+    """One from each n-th part of the normal distribution, whatever their order; and each alone is normal."""
+    from scipy.special import ndtr
+
+    rng = np.random.default_rng(0)
+    for count in (1, 2, 7, 40):
+        parts = np.floor(np.sort(ndtr(spread_normals(count, rng))) * count)
+        assert np.array_equal(parts, np.arange(count))
+    first = np.array([spread_normals(3, rng)[0] for _ in range(4000)])
+    assert abs(first.mean()) < 0.05 and abs(first.std() - 1.0) < 0.05

@@ -13,6 +13,7 @@ import hapticlod
 from hapticlod.bundle import write_bundle
 from hapticlod.material import COLUMNS
 from hapticlod.replay import replay_levels, runtime_levels
+from hapticlod.scene import Scene
 
 if TYPE_CHECKING:
     from hapticlod.config import LodConfig
@@ -122,6 +123,7 @@ def write_tuned(
                 "extent_mm": scan.extent_mm,
                 "digest": scan.digest,
                 "materials": _materials(scan),
+                **_parts(scan),
             },
             "tool": {"name": tool.name, "balls": tool.balls, "digest": tool.digest},
             "station": station.model_dump(mode="json"),
@@ -133,7 +135,28 @@ def write_tuned(
         golden_motion=golden,
         golden_record=record.rows,
         key=key,
+        parts=scan.parts if isinstance(scan, Scene) else (),
     )
+
+
+def _parts(scan: Scan) -> dict[str, Any]:
+    """Of a scene: where its parts come from."""
+    if not isinstance(scan, Scene):
+        return {}
+    return {
+        "parts": [
+            {
+                "name": part.name,
+                "source": Path(part.scan.source).name,
+                "triangles": part.scan.triangles,
+                "digest": part.scan.digest,
+                "position_mm": list(part.position_mm),
+                "orientation": list(part.orientation),
+                "hidden": part.hidden,
+            }
+            for part in scan.parts
+        ]
+    }
 
 
 def _materials(scan: Scan) -> dict[str, list[float]] | None:

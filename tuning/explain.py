@@ -50,3 +50,13 @@ def explain(
         f"felt error of {measured['felt_error_jnd']:.2f} JND, {measured['discontinuity_per_s']:.3f} noticed jumps per "
         f"second of contact and {measured['switches_per_s']:.2f} switches per second."
     )
+
+
+def agreement(chosen: Candidate) -> str:
+    """What the corrected model expected of the cost, and what was measured; empty where nothing was predicted."""
+    if chosen.expected_us is None or chosen.disagreement is None:
+        return ""
+    told = f"The model, corrected by what had been measured before, expected {chosen.expected_us:.3g} us at p99.9"
+    return (
+        f"{told}; measured were {chosen.measured['loop_cost_p999_us']:.3g} us, {100 * chosen.disagreement:.1f} % apart."
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +23,18 @@ AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surro
 HOPE = 0.7
 # How much less is asked for, at least, after one measurement over the budget, and after several in a row.
 LESS, MUCH_LESS = 0.95, 0.7
+# Slopes of ln (measured / predicted) along ln budget that are believed, and how near to the ends of a bracket one goes.
+_SLOPES, _INSET = (-0.8, 3.0), 0.05
 
 Judge = Callable[[LodConfig, dict[str, float]], float]
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A configuration with what was predicted of it and what was measured; `optimum`: of the search it came from."""
+    """A configuration with what was predicted of it and what was measured; `optimum`: of the search it came from.
+
+    `expected_us`: the predicted p99.9 cost, corrected by what had been measured before; None: nothing was predicted.
+    """
 
     config: LodConfig
     predicted: dict[str, float]
@@ -37,6 +42,12 @@ class Candidate:
     objective: float
     feasible: bool
     optimum: Optimum | None = None
+    expected_us: float | None = None
+
+    @property
+    def disagreement(self) -> float | None:
+        """By what part of itself the measured p99.9 cost misses what was expected; None: nothing was."""
+        return None if self.expected_us is None else abs(self.expected_us / cost_us(self) - 1.0)
 
 
 def cost_us(candidate: Candidate) -> float:
@@ -55,14 +66,14 @@ def explore(
     """
     made: list[Candidate] = []
 
-    def measured(count: int, found: Found, limits: Limits) -> Candidate:
+    def measured(count: int, found: Found, asked: Correction) -> Candidate:
         stages("verify in the runtime", len(made) / (len(counts) * ROUNDS))
         config = ready.space.config(found.x, count, f"{count} levels")
         metrics = verifier.measured(config)
-        optimum = Optimum(found.x, count, limits)
-        made.append(
-            Candidate(config, found.predicted, metrics, judged(config, metrics), holds(metrics, station), optimum)
-        )
+        optimum = Optimum(found.x, count, limits_of(station, asked.value))
+        expected_us = asked.expected_us(found.predicted["loop_cost_p999_us"])
+        value, fits = judged(config, metrics), holds(metrics, station)
+        made.append(Candidate(config, found.predicted, metrics, value, fits, optimum, expected_us))
         return made[-1]
 
     def best() -> float:
@@ -80,7 +91,7 @@ def explore(
             asked = Correction(correction)
             found = search.best(count, limits_of(station, correction), seed, found.x)
         for turn in range(ROUNDS + RESCUES):
-            candidate = measured(count, found, limits_of(station, asked.value))
+            candidate = measured(count, found, asked)
             # Asked for less, the search gave what it gave before: there is nothing cheaper to be had of it.
             stuck = any(turn and candidate.config == other.config for other in made[:-1])
             more = asked.corrected(candidate, station) and not stuck
@@ -96,33 +107,54 @@ def explore(
 class Correction:
     """What the surrogate's budget is multiplied by so that the measured cost meets the station's.
 
+    How measured exceeds predicted cost changes with the budget, so the last two measurements make a line of one's
+    logarithm along the other's.
+
     Attributes:
         value: that is in use. held, broke: the largest that was measured within the budget, the least that was not.
         misses: measurements over the budget in a row.
+        factors: ln value and ln measured over predicted cost, of every measurement.
     """
 
     value: float
     held: float = 0.0
     broke: float = np.inf
     misses: int = 0
+    factors: list[tuple[float, float]] = field(default_factory=list)
+
+    def expected_us(self, predicted_us: float) -> float:
+        """What a cost that is predicted at the value in use should be measured as."""
+        if not self.factors:
+            return predicted_us / self.value
+        at, factor, slope = self._line()
+        return predicted_us * float(np.exp(factor + slope * (np.log(self.value) - at)))
+
+    def _line(self) -> tuple[float, float, float]:
+        """The last point, and the slope there; it is kept where a larger budget still buys more cost."""
+        (at, factor), before = self.factors[-1], self.factors[-2:-1]
+        slope = (factor - before[0][1]) / (at - before[0][0]) if before and at != before[0][0] else 0.0
+        return at, factor, float(np.clip(slope, *_SLOPES))
 
     def corrected(self, candidate: Candidate, station: Station) -> bool:
         """Takes a measurement in. False: it is as near to the budget as makes sense, or the budget does not bind."""
-        ratio = candidate.predicted["loop_cost_p999_us"] / cost_us(candidate)
+        predicted_us = candidate.predicted["loop_cost_p999_us"]
+        self.factors.append((float(np.log(self.value)), float(np.log(cost_us(candidate) / predicted_us))))
+        at, factor, slope = self._line()
+        share = predicted_us / (self.value * station.budget_us)
+        wanted = float(np.exp(at + (np.log((1.0 - 0.5 * AGREE) / share) - factor - at) / (1.0 + slope)))
         if candidate.feasible:
             self.held, self.misses = max(self.held, self.value), 0
-            if cost_us(candidate) > (1.0 - 2 * AGREE) * station.budget_us:
+            if cost_us(candidate) > (1.0 - AGREE) * station.budget_us or share < 1.0 - AGREE:
                 return False
-            if candidate.predicted["loop_cost_p999_us"] < (1.0 - 2 * AGREE) * self.value * station.budget_us:
-                return False
-            wanted = max(ratio, self.value / LESS)
+            wanted = max(wanted, (1.0 + 0.5 * AGREE) * self.value)
         else:
             self.broke, self.misses = min(self.broke, self.value), self.misses + 1
-            wanted = min(ratio, (LESS if self.misses == 1 else MUCH_LESS) * self.value)
+            wanted = min(wanted, (LESS if self.misses == 1 else MUCH_LESS) * self.value)
         if self.held > 0.0 and self.broke < np.inf:
-            if self.broke < (1.0 + AGREE) * self.held:
+            if self.broke < (1.0 + 0.5 * AGREE) * self.held:
                 return False
-            wanted = float(np.sqrt(self.held * self.broke))
+            inset = _INSET * np.log(self.broke / self.held)
+            wanted = float(np.clip(wanted, self.held * np.exp(inset), self.broke * np.exp(-inset)))
         self.value = float(np.clip(wanted, 0.03, 3.0))
         return True
 

@@ -12,15 +12,17 @@ import jax
 import numpy as np
 
 from hapticlod.errors import InputError
-from hapticlod.ladder import Ladder, build_ladder
+from hapticlod.ladder import Ladder
 from hapticlod.motion import MODES, Motion, lay_on_scan, near_share, synthesise
 from hapticlod.perception import Perception, load_perception
 from hapticlod.scan import Scan
-from hapticlod.station import Station
+from hapticlod.scene_ladder import ladder_of
+from hapticlod.station import CostCoefficients, Station
 from hapticlod.surrogate.measurement import LadderMeasurement
 from hapticlod.tool import Tool
 from tuning import kept
 from tuning.assemble import LadderData, assemble
+from tuning.calibrate import counted_cost_ns
 from tuning.grid import Grid, make_clock, make_grid
 from tuning.replays import MOST_RUNTIME_LEVELS, Bench, replay_fixed
 from tuning.sample import Costing, sample_ladder, threads
@@ -35,6 +37,11 @@ APART_S = (24.0, 18.0, 12.0, 8.0, 6.0, 3.0)
 FELT_S = (12.0, 6.0, 4.0, 2.5)
 # What they may cost, s.
 SEEN_REPLAY_S, APART_REPLAY_S, FELT_REPLAY_S = 14.0, 5.0, 6.0
+# By what a present core (a virtual Xeon) needs: it decides how long motions are, so it must be the same everywhere.
+_PRICES = CostCoefficients(
+    base_ns=255, cell_ns=67, triangle_ns=4.7, test_ns=60, iteration_ns=99, ball_ns=92, mapping_cell_ns=0
+)
+_STROKE_S = 0.1  # to make a second of a stroke
 _SWITCHED = 10.0  # cost of a replay that switches, in replays that stay on a level
 NEAR_MM = 2.0
 _TOUR_MM = 4.0  # a tour's mapping length, in offsets between rungs
@@ -124,7 +131,7 @@ def prepare(
     ladder_key = kept.key_of("ladder", scan.digest, kept.code_digest())
     ladder = kept.load("ladders", ladder_key)
     if ladder is None:
-        ladder = build_ladder(scan, progress=told)
+        ladder = ladder_of(scan, progress=told)
         _ = ladder.rungs[-1].rms_mm
         kept.store("ladders", ladder_key, ladder)
     given = tuple(motion.digest for motion in motions or ())
@@ -163,8 +170,6 @@ def _sampled(
         raise InputError("motions", f"one is shorter than {2 * window_s:.3g} s", "give longer motions")
     offset_mm = max(ladder.rungs[-1].rms_mm, 1e-3 * ladder.rungs[0].mean_edge_mm)
     data, costing = sample_ladder(bench, seen, clock, felt_clock, perception, _TOUR_MM * offset_mm, told)
-    if not data.reference.contact.any():
-        raise InputError("motions", "never touch the scan", "give motions that do, or none to have some made")
     return _Sampled(tuple(seen), tuple(apart), data, costing, make_space(grid, data, offset_mm))
 
 
@@ -199,20 +204,17 @@ def _made(
     def strokes(first: int, seconds: float) -> list[tuple[int, float]]:
         return [(first + mode, seconds) for mode in range(len(MODES))]
 
-    # For one second of each mode, in processor time: what other programs do meanwhile must not shorten the motions.
+    # Of one second of each mode, by its counters: a busy machine must not shorten the motions.
     pilot = [stroke(task) for task in strokes(900, 1.0)]
-    begun = time.thread_time()
-    stroke((904, 1.0 * len(MODES)))  # the surface is made by now
-    made_s = time.thread_time() - begun
     rungs, subsets = bench.grid.shape
     spent_s: list[float] = []
     for rung in (0, rungs // 2):
         level = bench.level(rung)
         for balls in (bench.grid.balls[0], bench.grid.balls[-1]):
-            begun = time.thread_time()
-            replay_fixed(bench, level, rung, balls, pilot, 1)
-            spent_s.append(time.thread_time() - begun)
+            replays = replay_fixed(bench, level, rung, balls, pilot, 1)
+            spent_s.append(1e-9 * sum(float(counted_cost_ns(rows, level.bytes, _PRICES).sum()) for rows in replays))
     mean_s = sum(spent_s) / len(spent_s)
+    made_s = _STROKE_S * len(MODES)
     legs = -(-rungs * subsets // MOST_RUNTIME_LEVELS)
     seen_s = _seconds(SEEN_S, (made_s + mean_s * rungs * subsets) / threads(), SEEN_REPLAY_S)
     apart_s = _seconds(APART_S, (made_s + spent_s[0]) / threads(), APART_REPLAY_S)

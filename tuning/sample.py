@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hapticlod.errors import InputError
 from hapticlod.motion import Motion
 from hapticlod.perception import Perception
 from hapticlod.station import CostCoefficients, Station
@@ -98,6 +99,9 @@ def sample_ladder(
 
     A tick that decides the cost's tail is rare: time goes into ticks, each replayed once and priced by its counters.
     `felt_clock`, the first part of each motion, is enough for the feel and for switches.
+
+    Raises:
+        InputError: the motions never touch.
     """
     grid, station = bench.grid, bench.station
     rungs, subsets = grid.shape
@@ -114,6 +118,8 @@ def sample_ladder(
     progress("replay the ladder", 0.0)
     first = replay_fixed(bench, levels[0], 0, grid.balls[0], whole, 1)
     reference = make_reference(felt(first), clock.loop_hz, perception)
+    if not reference.contact.any():  # before minutes are spent
+        raise InputError("motions", "never touch the scan", "give motions that do, or none to have some made")
 
     def one(place: tuple[int, int]) -> tuple[dict[str, Array], NDArray]:
         r, b = place

@@ -19,7 +19,7 @@ from hapticlod.tool import Tool
 from tuning.baselines import baselines as baseline_configs
 from tuning.compile_cache import keep_compiled
 from tuning.confirm import Clock, merit
-from tuning.explain import explain
+from tuning.explain import agreement, explain
 from tuning.explore import Candidate, Judge, cost_us, explore, limits_of
 from tuning.objective import holds
 from tuning.population import POOLED, check_over, measured_each, measured_objective
@@ -135,7 +135,8 @@ def tune(
     stages("differentiate the optimum", 0.0)
     answers = sensitivities(search, ready.space, chosen.optimum, station)
     stages.close()
-    reasons = explain(ranked, baselines, station, scan.triangles, tool), sentence(answers, station)
+    reason = explain(ranked, baselines, station, scan.triangles, tool)
+    reasons = reason, agreement(chosen), sentence(answers, station)
     return TuneResult(
         config=chosen.config.changed(name="tuned"),
         predicted=predicted,

@@ -20,7 +20,8 @@ from hapticlod.layout import (
 MAGIC: Final = b"\x89HLOD\r\n\x1a"
 VERSION: Final = 1
 ALIGNMENT: Final = 64
-MAX_SECTIONS: Final = 256
+MAX_SECTIONS: Final = 8192
+MAX_STORED_LEVELS: Final = 512  # of a scene: all levels of all parts, one after the other
 MAX_MANIFEST_BYTES: Final = 16 << 20
 MAX_MANIFEST_DEPTH: Final = 64
 SECTION_VERSION: Final = 1
@@ -52,12 +53,28 @@ ENTRY_DTYPE: Final = np.dtype(
 MOTION_DTYPE: Final = np.dtype([("time_s", "<f8"), ("position_mm", "<f8", 3), ("orientation", "<f8", 4)])
 
 
+PART_DTYPE: Final = np.dtype(
+    [
+        ("name", "S64"),
+        ("level_count", "<u4"),
+        ("flags", "<u4"),
+        ("position_mm", "<f8", 3),
+        ("orientation", "<f8", 4),
+        ("cell_mm", "<f8", 8),
+        ("triangles", "<u4", 8),
+        ("reserved", "<u4", 8),
+    ]
+)
+PART_HIDDEN: Final = 1
+
+
 class SectionType(IntEnum):
     """What a section holds."""
 
     MANIFEST = 1
     CONFIG = 2
     TOOL = 3
+    PARTS = 4
     VERTICES = 16
     FACES = 17
     ADJACENCY = 18
@@ -85,6 +102,7 @@ ELEMENT: Final[dict[SectionType, np.dtype[Any]]] = {
     SectionType.MANIFEST: np.dtype("u1"),
     SectionType.CONFIG: CONFIG_DTYPE,
     SectionType.TOOL: BALL_DTYPE,
+    SectionType.PARTS: PART_DTYPE,
     SectionType.VERTICES: np.dtype(("<f4", 3)),
     SectionType.FACES: np.dtype(("<u4", 3)),
     SectionType.ADJACENCY: np.dtype(("<u4", 3)),

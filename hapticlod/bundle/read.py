@@ -20,6 +20,7 @@ from hapticlod.bundle.format import (
     SectionType,
     depth,
 )
+from hapticlod.bundle.parts import StoredPart, parts_fault, stored_parts
 from hapticlod.bundle.structure import Section, read_sections
 from hapticlod.errors import InputError
 from hapticlod.motion import Motion
@@ -73,7 +74,8 @@ class Bundle:
         manifest: provenance, station, metrics.
         config: numpy scalar of `hapticlod.layout.CONFIG_DTYPE`.
         tool: named as in the manifest's `tool.name`, if it has one.
-        levels: finest first.
+        levels: finest first; of a scene all levels of its first part, then of the next.
+        parts: of a scene; none where the bundle holds one scan.
         golden_motion: and the (T,) RECORD_DTYPE rows that its replay gave, or None and None.
         golden_record: see `golden_motion`.
     """
@@ -88,6 +90,7 @@ class Bundle:
     levels: tuple[BundleLevel, ...]
     golden_motion: Motion | None
     golden_record: np.ndarray | None
+    parts: tuple[StoredPart, ...] = ()
 
 
 def read_bundle(path: str | Path) -> Bundle:
@@ -109,10 +112,18 @@ def read_bundle(path: str | Path) -> Bundle:
     reader.refuse("TOOL", content.tool_fault(balls))
     if (config["balls"][:count] > len(balls)).any():
         reader.refuse("CONFIG", "a level uses more balls than the tool has")
-    stray = [s.name for s in sections if s.type in LEVEL_SECTIONS and s.level >= count]
+    parts: tuple[StoredPart, ...] = ()
+    meshes = [(int(config["triangles"][k]), float(config["cell_mm"][k])) for k in range(count)]
+    if reader.has(SectionType.PARTS):
+        rows = reader.array(SectionType.PARTS)
+        reader.refuse("PARTS", parts_fault(rows, config))
+        parts = stored_parts(rows)
+        meshes = [mesh for part in parts for mesh in zip(part.triangles, part.cell_mm, strict=True)]
+    stray = [s.name for s in sections if s.type in LEVEL_SECTIONS and s.level >= len(meshes)]
     if stray:
-        raise InputError(name, f"{stray[0]} belongs to no level of the config", WRITE_AGAIN)
-    levels = tuple(_level(reader, config, number) for number in range(count))
+        owner = "part" if parts else "level of the config"
+        raise InputError(name, f"{stray[0]} belongs to no {owner}", WRITE_AGAIN)
+    levels = tuple(_level(reader, number, *mesh) for number, mesh in enumerate(meshes))
     _check_bounds(reader, levels)
     motion, record = _golden(reader, manifest, float(config["loop_hz"]), count)
     return Bundle(
@@ -126,6 +137,7 @@ def read_bundle(path: str | Path) -> Bundle:
         levels=levels,
         golden_motion=motion,
         golden_record=record,
+        parts=parts,
     )
 
 
@@ -198,14 +210,13 @@ def _no_constant(text: str) -> float:
     raise ValueError(f"{text} is no JSON")
 
 
-def _level(reader: _Reader, config: Any, number: int) -> BundleLevel:
+def _level(reader: _Reader, number: int, triangles: int, cell_mm: float) -> BundleLevel:
     where = f"level {number}"
     vertices = reader.array(SectionType.VERTICES, number)
     faces = reader.array(SectionType.FACES, number)
     reader.refuse(where, content.mesh_fault(vertices, faces))
-    if len(faces) != config["triangles"][number]:
-        reader.refuse(where, f"has {len(faces)} triangles, its config says {config['triangles'][number]}")
-    cell_mm = float(config["cell_mm"][number])
+    if len(faces) != triangles:
+        reader.refuse(where, f"has {len(faces)} triangles, its config says {triangles}")
     materials = None
     if reader.has(SectionType.MATERIALS, number):
         materials = reader.array(SectionType.MATERIALS, number)

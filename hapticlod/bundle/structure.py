@@ -10,6 +10,7 @@ from hapticlod.bundle.format import (
     LEVEL_SECTIONS,
     MAGIC,
     MAX_SECTIONS,
+    MAX_STORED_LEVELS,
     OPTIONAL,
     SECTION_VERSION,
     VERSION,
@@ -59,6 +60,7 @@ def read_sections(file: np.ndarray, path: str) -> tuple[Section, ...]:
         InputError: anything is wrong, or too new.
     """
     table = _table(file, path)
+    most_levels = MAX_STORED_LEVELS if (table["type"] == SectionType.PARTS).any() else MAX_LEVELS
     end = HEADER_DTYPE.itemsize + table.nbytes
     seen: set[tuple[int, int]] = set()
     sections: list[Section] = []
@@ -74,7 +76,7 @@ def read_sections(file: np.ndarray, path: str) -> tuple[Section, ...]:
             entry["digest"].tobytes(),
         )
         where = f"{path}, {section.name}"
-        if fault := _entry_fault(section, flags, end, len(file)):
+        if fault := _entry_fault(section, flags, end, len(file), most_levels):
             raise InputError(where, fault, COPY_AGAIN)
         if not section.known and not section.optional:
             what = f"is needed and has version {section.version}, which this program does not know"
@@ -119,7 +121,7 @@ def _table(file: np.ndarray, path: str) -> np.ndarray:
     return content.view(ENTRY_DTYPE)
 
 
-def _entry_fault(section: Section, flags: int, end: int, file_bytes: int) -> str:
+def _entry_fault(section: Section, flags: int, end: int, file_bytes: int, most_levels: int) -> str:
     """Why an entry cannot be right; `end` is where the section before it ended."""
     if section.offset != aligned(end):
         return "does not start where the one before ends"
@@ -129,6 +131,6 @@ def _entry_fault(section: Section, flags: int, end: int, file_bytes: int) -> str
         return "has unknown flags"
     # A type that is not known here may be one of levels.
     of_no_level = section.type in set(SectionType) and section.type not in LEVEL_SECTIONS
-    if section.level >= MAX_LEVELS or (section.level and of_no_level):
+    if section.level >= most_levels or (section.level and of_no_level):
         return "has a wrong level"
     return ""

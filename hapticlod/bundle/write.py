@@ -24,6 +24,7 @@ from hapticlod.bundle.format import (
     digest,
     is_optional,
 )
+from hapticlod.bundle.parts import PartLike, part_rows, parts_fault
 from hapticlod.bundle.read import read_bundle
 from hapticlod.files import write_atomic
 from hapticlod.layout import BALL_DTYPE, CONFIG_DTYPE, RECORD_DTYPE
@@ -51,6 +52,7 @@ def write_bundle(
     golden_motion: Motion | None = None,
     golden_record: np.ndarray | None = None,
     key: Key | None = None,
+    parts: Sequence[PartLike] = (),
 ) -> None:
     """Writes a `.hlod`. Equal arguments give equal bytes; an existing file is replaced in one step.
 
@@ -63,12 +65,13 @@ def write_bundle(
         golden_motion: a short motion at the loop rate ...
         golden_record: ... and (T,) rows of `RECORD_DTYPE` that its replay gave. Both or neither.
         key: signs the bundle; None leaves it unsigned.
+        parts: of a scene, whose `levels` are then `hapticlod._runtime.SceneLevel`s of as many parts.
 
     Raises:
         InputError: the file cannot be written.
         ValueError: the parts do not fit each other, or the manifest holds a number that is not finite.
     """
-    sections = _sections(levels, config, tool, manifest, golden_motion, golden_record)
+    sections = _sections(levels, config, tool, manifest, golden_motion, golden_record, parts)
     write_atomic(path, container(sections, key=key))
 
 
@@ -138,6 +141,7 @@ def _sections(
     manifest: Mapping[str, Any],
     golden_motion: Motion | None,
     golden_record: np.ndarray | None,
+    parts: Sequence[PartLike],
 ) -> list[tuple[int, int, Any]]:
     settings = np.ascontiguousarray(config).reshape(1)
     if settings.dtype != CONFIG_DTYPE:
@@ -154,12 +158,20 @@ def _sections(
         (SectionType.CONFIG, 0, settings.tobytes()),
         (SectionType.TOOL, 0, balls.tobytes()),
     ]
+    stored: list[LevelLike] = list(levels)
+    if parts:
+        own = _levels_of_parts(levels, parts)
+        rows = part_rows(parts, own)
+        if fault := parts_fault(rows, settings[0]):
+            raise ValueError(fault)
+        sections.append((SectionType.PARTS, 0, rows.tobytes()))
+        stored = [level for part in own for level in part]
     bounds: list[Any] = []
-    for number, level in enumerate(levels):
+    for number, level in enumerate(stored):
         arrays = level.arrays()
         bounds.append(arrays.get("bounds"))
         faces = memoryview(arrays["faces"]).nbytes // 12
-        if faces != int(settings["triangles"][0][number]):
+        if not parts and faces != int(settings["triangles"][0][number]):
             raise ValueError(
                 f"level {number} has {faces} triangles, its config says {int(settings['triangles'][0][number])}"
             )
@@ -177,6 +189,21 @@ def _sections(
             (SectionType.GOLDEN_RECORD, 0, golden_record.tobytes()),
         ]
     return sections
+
+
+def _levels_of_parts(levels: Sequence[Any], parts: Sequence[PartLike]) -> list[list[Any]]:
+    """Of every part its levels; one that stays the same to the end is stored once."""
+    if any(len(level.parts) != len(parts) for level in levels):
+        raise ValueError(f"{len(parts)} parts, but a level has another number of them")
+    own: list[list[Any]] = [[] for _ in parts]
+    for level in levels:
+        for held, piece in zip(own, level.parts, strict=True):
+            if not held or held[-1] is not piece:
+                held.append(piece)
+    for i, held in enumerate(own):
+        if any(level.parts[i] is not held[min(k, len(held) - 1)] for k, level in enumerate(levels)):
+            raise ValueError(f"{parts[i].name}: a level is repeated before the last one")
+    return own
 
 
 def motion_rows(motion: Motion) -> np.ndarray:

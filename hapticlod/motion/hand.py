@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d, minimum_filter1d
 
 from hapticlod.motion.motion import Motion
 from hapticlod.motion.smooth import low_passed
-from hapticlod.motion.strokes import BASE_HZ, min_jerk, slow_noise, tremor_mm
+from hapticlod.motion.strokes import BASE_HZ, min_jerk, slow_noise, spread_normals, tremor_mm
 from hapticlod.motion.surface import Surface
 from hapticlod.motion.walk import Path
 from hapticlod.tool import Tool
@@ -194,7 +194,7 @@ def shaft_orientation(normals: Array, loop_hz: float) -> Array:
 
 def _depth_mm(time_s: Array, lifts: list[Lift], press: Press, rng: np.random.Generator) -> Array:
     """How far the HIP is pushed in: a log-normal force per contact, with 10 % of noise below 3 Hz."""
-    forces = press.force_n * np.exp(press.force_sigma * rng.normal(size=len(lifts) + 1))
+    forces = press.force_n * np.exp(press.force_sigma * spread_normals(len(lifts) + 1, rng))
     # the change from one force to the next happens in the air, halfway through the lift
     middles = np.array(sorted(0.5 * (lift.start_s + lift.stop_s) for lift in lifts))
     force = forces[np.searchsorted(middles, time_s)] * (1.0 + 0.1 * slow_noise(len(time_s), rng))

@@ -61,6 +61,16 @@ def brownian_heading(ticks: int, rng: np.random.Generator, rad_per_root_s: float
     return np.cumsum(rng.normal(size=ticks)) * rad_per_root_s / np.sqrt(BASE_HZ)
 
 
+def spread_normals(count: int, rng: np.random.Generator) -> Array:
+    """Normal deviates (n,), one from each n-th part of the distribution, in random order (stratified sampling).
+
+    A motion has few contacts; drawn apart from each other, their forces would make two motions of one hand unlike.
+    """
+    from scipy.special import ndtri
+
+    return ndtri((rng.permutation(count) + rng.random(count)) / count)
+
+
 def tremor_mm(ticks: int, rng: np.random.Generator, *, rms_mm: float = 0.03, centre_hz: float = 10.0) -> Array:
     """Physiological tremor (T, 3) mm at `BASE_HZ`: white noise through a resonator of quality 5."""
     from scipy.signal import lfilter  # takes a second to import: not for those who only read motions

@@ -37,12 +37,16 @@ void Candidates::allocate(const ToolTree& tree, std::size_t balls) {
     balls_clear_until_.resize(balls);
     nodes_clear_until_.resize(tree.nodes().size());
     nodes_looked_at_.resize(tree.nodes().size());
+    tool_mm_ = 0.0;
+    for (const ToolTree::Node& node : tree.nodes()) tool_mm_ = std::max(tool_mm_, norm(node.centre) + node.radius);
     forget();
 }
 
-void Candidates::bind(const ActiveLevel& level, const Kernels& kernels) {
+void Candidates::bind(const SceneLevel& level, const Kernels& kernels) {
     level_ = &level;
     kernels_ = &kernels;
+    near_parts_[0] = level.visible[0], near_count_ = 1;  // of one, there is nothing to choose
+    look_at(near_parts_[0]);
     forget();
 }
 
@@ -64,13 +68,13 @@ std::size_t Candidates::bytes() const {
 }
 
 std::uint32_t Candidates::triangle_id(std::uint32_t i, std::uint32_t lane) const {
-    const TriBlock& block = level_->view.blocks[pairs_[i].block];
+    const TriBlock& block = triangles(i);
     return block.id[lane] == kNoNeighbour ? block.id[0] : block.id[lane];
 }
 
 double Candidates::bound(std::uint32_t i, const Vec3& x) const {
-    const BlockBound& b = level_->bounds[pairs_[i].block];
-    const SolverBall& ball = solver_balls_[pairs_[i].ball];
+    const BlockBound& b = surface(i).bounds[pairs_[i].block];
+    const SolverBall& ball = solver_balls_[this->ball(i)];
     const Vec3 to = Vec3{b.x, b.y, b.z} - (centre_ + x + ball.offset);
     const double h = std::abs(dot(to, Vec3{b.nx, b.ny, b.nz})), to2 = norm2(to) * (1.0 - 1e-6);
     const double above = std::max(h - double{b.half}, 0.0);
@@ -79,8 +83,8 @@ double Candidates::bound(std::uint32_t i, const Vec3& x) const {
 }
 
 bool Candidates::passes_by(std::uint32_t i, const Vec3& from, const Vec3& step, double margin) const {
-    const BlockBound& b = level_->bounds[pairs_[i].block];
-    const SolverBall& ball = solver_balls_[pairs_[i].ball];
+    const BlockBound& b = surface(i).bounds[pairs_[i].block];
+    const SolverBall& ball = solver_balls_[this->ball(i)];
     const Vec3 to = Vec3{b.x, b.y, b.z} - (centre_ + from + ball.offset);
     const double length2 = norm2(step), along = dot(to, step), t = std::clamp(along, 0.0, length2);
     const double apart2 = norm2(to) * length2 - t * (2.0 * along - t);  // times length2
@@ -93,14 +97,14 @@ double Candidates::evaluate(std::uint32_t i, const Vec3& x, std::uint32_t stamp)
     if (pair.stamp == kListed) pair.slot = free_[kMaxBlocks - ++evaluated_];
     pair.stamp = stamp;
     EvalBlock& out = evaluations_[pair.slot];
-    const SolverBall& ball = solver_balls_[pair.ball];
+    const SolverBall& ball = solver_balls_[pair.whose & 0xffffu];
     (x + ball.offset).store(out.origin);
     float shift[3], residual[3];
     for (int k = 0; k < 3; ++k) {
         shift[k] = static_cast<float>(out.origin[k]);
         residual[k] = static_cast<float>(out.origin[k] - double{shift[k]});
     }
-    return double{kernels_->eval(level_->view.blocks[pair.block], shift, residual, static_cast<float>(ball.kept), out)};
+    return double{kernels_->eval(triangles(i), shift, residual, static_cast<float>(ball.kept), out)};
 }
 
 double Candidates::clearance_bound(const Vec3& x, double path) const {
@@ -111,10 +115,11 @@ double Candidates::clearance_bound(const Vec3& x, double path) const {
     return std::max(std::min(least, reach() - moved), 0.0);
 }
 
-// Calls use(brick, bit, gap2) for every occupied cell within `range` of the centre, until it returns false.
+// Calls use(brick, bit, gap2) for every occupied cell of the present surface within `range` of the centre, until it
+// returns false.
 template <class Use>
 void Candidates::for_cells(const Vec3& centre, double range, TickCounters& counters, Use&& use) const {
-    const LevelView& level = level_->view;
+    const LevelView& level = surface_->view;
     const double h = level.hash->cell_mm, loose = double{level.hash->loose_mm};
     const double at[3] = {centre.x, centre.y, centre.z};
     std::int32_t lo[3], hi[3], brick_lo[3], brick_hi[3];
@@ -126,7 +131,7 @@ void Candidates::for_cells(const Vec3& centre, double range, TickCounters& count
         hi[k] = static_cast<std::int32_t>(std::floor(std::min(to, last)));
         brick_lo[k] = lo[k] >> 2, brick_hi[k] = hi[k] >> 2;
     }
-    counters.cells += level_->occupancy.for_bricks(level, brick_lo, brick_hi, [&](const Brick& brick) {
+    counters.cells += surface_->occupancy.for_bricks(level, brick_lo, brick_hi, [&](const Brick& brick) {
         const std::int32_t base[3] = {brick.x * 4, brick.y * 4, brick.z * 4};
         int from[3], to[3];
         double gap2_of[3][4], brick_gap2 = 0.0;
@@ -152,21 +157,24 @@ void Candidates::for_cells(const Vec3& centre, double range, TickCounters& count
 }
 
 // Distance to the nearest occupied cell, at most outer.
-double Candidates::empty_within(const Vec3& centre, double outer, TickCounters& counters) const {
+double Candidates::empty_within(const Vec3& centre, double outer, TickCounters& counters) {
     double nearest2 = outer * outer;
-    for_cells(centre, outer, counters, [&](const Brick&, int, double gap2) {
-        nearest2 = std::min(nearest2, gap2);
-        return nearest2 > 0.0;
-    });
+    for (std::uint32_t p = 0; p < near_count_; ++p) {
+        look_at(near_parts_[p]);
+        for_cells(centre, outer, counters, [&](const Brick&, int, double gap2) {
+            nearest2 = std::min(nearest2, gap2);
+            return nearest2 > 0.0;
+        });
+    }
     return std::sqrt(nearest2);
 }
 
 // The entry of a pair in the table, or the free entry where it would go.
-Candidates::Known& Candidates::known(std::uint32_t block, std::uint32_t ball) {
-    const std::uint64_t mixed = (std::uint64_t{block} << 12 ^ ball) * 0x9e3779b97f4a7c15u;
+Candidates::Known& Candidates::known(std::uint32_t block, std::uint32_t whose) {
+    const std::uint64_t mixed = (std::uint64_t{block} << 12 ^ whose) * 0x9e3779b97f4a7c15u;
     for (std::uint32_t at = static_cast<std::uint32_t>(mixed >> 40) & table_mask_;; at = (at + 1) & table_mask_) {
         Known& k = table_[at];
-        if (k.epoch != epoch_ || (k.block == block && k.ball == ball)) return k;
+        if (k.epoch != epoch_ || (k.block == block && k.whose == whose)) return k;
     }
 }
 
@@ -180,7 +188,7 @@ void Candidates::remember() {
     }
     for (std::uint32_t i = 0; i < last_count_; ++i)
         if (last_pairs_[i].stamp != kListed)
-            known(last_pairs_[i].block, last_pairs_[i].ball) = {last_pairs_[i].block, last_pairs_[i].ball, i, epoch_};
+            known(last_pairs_[i].block, last_pairs_[i].whose) = {last_pairs_[i].block, last_pairs_[i].whose, i, epoch_};
 }
 
 // Frees the evaluations that the present list has not taken over.
@@ -189,10 +197,10 @@ void Candidates::release() {
         if (last_pairs_[i].stamp != kListed) free_[kMaxBlocks - evaluated_--] = last_pairs_[i].slot;
 }
 
-void Candidates::list(std::uint32_t block, std::uint32_t ball, double bound) {
-    Pair pair{block, ball, 0, kListed};
+void Candidates::list(std::uint32_t block, std::uint32_t whose, double bound) {
+    Pair pair{block, whose, 0, kListed};
     if (last_evaluated_ > 0) {
-        const Known& k = known(block, ball);
+        const Known& k = known(block, whose);
         if (k.epoch == epoch_) {
             pair = last_pairs_[k.index];
             bound = std::max(bound, last_keys_[k.index] - last_path_ + off_);
@@ -200,7 +208,7 @@ void Candidates::list(std::uint32_t block, std::uint32_t ball, double bound) {
     }
     // A new pair this near will be looked at in this tick or the next: its triangles are on their way meanwhile.
     if (pair.stamp == kListed && bound < near_) {
-        const char* line = reinterpret_cast<const char*>(&level_->view.blocks[block]);
+        const char* line = reinterpret_cast<const char*>(&level_->surfaces[whose >> 16]->view.blocks[block]);
         for (std::size_t k = 0; k < sizeof(TriBlock); k += 64) __builtin_prefetch(line + k);
     }
     keys_[block_count_] = bound;
@@ -211,7 +219,6 @@ void Candidates::list(std::uint32_t block, std::uint32_t ball, double bound) {
 bool Candidates::gather_one(std::uint32_t place, double reach, TickCounters& counters) {
     if (balls_clear_until_[place] - odometer_ > reach) return true;
     constexpr std::uint32_t kChunk = 32;
-    const LevelView& level = level_->view;
     const SolverBall& ball = solver_balls_[0];
     const Vec3 centre = centre_ + ball.offset;
     const float at[3] = {static_cast<float>(centre.x), static_cast<float>(centre.y), static_cast<float>(centre.z)};
@@ -237,24 +244,28 @@ bool Candidates::gather_one(std::uint32_t place, double reach, TickCounters& cou
         for (std::uint32_t k = 0; k < near; ++k) {
             if (block_count_ == kMaxBlocks) return complete = false;
             listed_bounds_[block_count_] = near_by[chosen[k]];
-            list(block[chosen[k]], 0, double{low[chosen[k]]});
+            list(block[chosen[k]], part_ << 16, double{low[chosen[k]]});
         }
         waiting = 0;
         return true;
     };
-    for_cells(centre, outer, counters, [&](const Brick& brick, int bit, double) {
-        ++counters.cells;
-        const std::uint32_t cell = cell_of(brick, bit);
-        const std::uint32_t from = level.cells[cell], end = level.cells[cell + 1];
-        counters.triangles += 8 * (end - from);
-        for (std::uint32_t b = from; b < end;) {
-            const std::uint32_t stop = std::min(end, b + kChunk - waiting);
-            for (; b < stop; ++b, ++waiting) near_by[waiting] = level_->bounds[b], block[waiting] = b;
-            if (waiting == kChunk && !look()) return false;
-        }
-        return true;
-    });
-    if (complete && waiting > 0) look();
+    for (std::uint32_t p = 0; p < near_count_ && complete; ++p) {
+        look_at(near_parts_[p]);
+        const LevelView& level = surface_->view;
+        for_cells(centre, outer, counters, [&](const Brick& brick, int bit, double) {
+            ++counters.cells;
+            const std::uint32_t cell = cell_of(brick, bit);
+            const std::uint32_t from = level.cells[cell], end = level.cells[cell + 1];
+            counters.triangles += 8 * (end - from);
+            for (std::uint32_t b = from; b < end;) {
+                const std::uint32_t stop = std::min(end, b + kChunk - waiting);
+                for (; b < stop; ++b, ++waiting) near_by[waiting] = surface_->bounds[b], block[waiting] = b;
+                if (waiting == kChunk && !look()) return false;
+            }
+            return true;
+        });
+        if (complete && waiting > 0) look();
+    }
     if (complete)
         balls_clear_until_[place] =
             odometer_ +
@@ -266,7 +277,6 @@ bool Candidates::gather_one(std::uint32_t place, double reach, TickCounters& cou
 bool Candidates::gather_balls(std::uint32_t index, double reach, TickCounters& counters) {
     const std::span<const SolverBall> balls = solver_balls_;
     constexpr std::uint32_t kChunk = 32;
-    const LevelView& level = level_->view;
     const ToolTree::Node& node = tree_->nodes()[index];
     const BallPack& pack = tree_->pack(index);
     std::uint32_t active = 0;
@@ -289,24 +299,27 @@ bool Candidates::gather_balls(std::uint32_t index, double reach, TickCounters& c
     std::uint32_t bits[kChunk], near = 0;
     std::fill_n(least, 8, std::numeric_limits<float>::max());
     bool complete = true;
-    for_cells(centre, outer, counters, [&](const Brick& brick, int bit, double) {
-        ++counters.cells;
-        const std::uint32_t cell = cell_of(brick, bit);
-        const std::uint32_t end = level.cells[cell + 1];
-        counters.triangles += 8 * (end - level.cells[cell]);
-        for (std::uint32_t from = level.cells[cell]; from < end; from += kChunk) {
-            const std::uint32_t count = std::min(end - from, kChunk);
-            kernels_->near(&level_->bounds[from], count, pack, at, active, within, least, low, bits);
-            for (std::uint32_t b = 0; b < count; ++b)
-                for (near |= bits[b]; bits[b] != 0; bits[b] &= bits[b] - 1) {
-                    const int lane = std::countr_zero(bits[b]);
-                    if (block_count_ == kMaxBlocks) return complete = false;
-                    list(from + b, tree_->ball(node.first + static_cast<std::uint32_t>(lane)),
-                         double{low[8 * b + static_cast<std::uint32_t>(lane)]});
-                }
-        }
-        return true;
-    });
+    for (std::uint32_t p = 0; p < near_count_ && complete; ++p) {
+        look_at(near_parts_[p]);
+        const LevelView& level = surface_->view;
+        for_cells(centre, outer, counters, [&](const Brick& brick, int bit, double) {
+            ++counters.cells;
+            const std::uint32_t cell = cell_of(brick, bit);
+            const std::uint32_t end = level.cells[cell + 1];
+            counters.triangles += 8 * (end - level.cells[cell]);
+            for (std::uint32_t from = level.cells[cell]; from < end; from += kChunk) {
+                const std::uint32_t count = std::min(end - from, kChunk);
+                kernels_->near(&surface_->bounds[from], count, pack, at, active, within, least, low, bits);
+                for (std::uint32_t b = 0; b < count; ++b)
+                    for (near |= bits[b]; bits[b] != 0; bits[b] &= bits[b] - 1) {
+                        const auto lane = static_cast<std::uint32_t>(std::countr_zero(bits[b]));
+                        if (block_count_ == kMaxBlocks) return complete = false;
+                        list(from + b, part_ << 16 | tree_->ball(node.first + lane), double{low[8 * b + lane]});
+                    }
+            }
+            return true;
+        });
+    }
     if (!complete) return false;
     // Nothing within reach of a ball: until the tool has moved as far as the nearest block beyond, leave it be.
     for (std::uint32_t k = 0; k < node.count; ++k)
@@ -318,13 +331,24 @@ bool Candidates::gather_balls(std::uint32_t index, double reach, TickCounters& c
     return true;
 }
 
+// Of several parts those are left aside whose boxes no query of this gather reaches.
+void Candidates::choose_parts(const Vec3& centre, double reach) {
+    near_count_ = 0;
+    const double range = tool_mm_ + reach + std::max(2.0 * level_->cell_mm, 3.0 * reach);
+    for (std::uint32_t v = 0; v < level_->visible_count; ++v) {
+        const std::uint32_t part = level_->visible[v];
+        if (level_->boxes[part].distance2(centre) > range * range) continue;
+        near_parts_[near_count_++] = part;
+    }
+}
+
 bool Candidates::gather_node(std::uint32_t index, double reach, TickCounters& counters) {
     const std::span<const SolverBall> balls = solver_balls_;
     const ToolTree::Node& node = tree_->nodes()[index];
     if (node.least_ball >= balls.size() || nodes_clear_until_[index] - odometer_ > reach) return true;
     // A node that was near a moment ago is near now: look at its children at once.
     if (nodes_looked_at_[index] < odometer_ - 4.0 * reach) {
-        const double outer = node.radius + reach + std::max(2.0 * level_->view.hash->cell_mm, 3.0 * reach);
+        const double outer = node.radius + reach + std::max(2.0 * level_->cell_mm, 3.0 * reach);
         const double clear = empty_within(centre_ + node.offset, outer, counters) - node.radius;
         ++counters.balls;
         nodes_looked_at_[index] = odometer_;
@@ -362,6 +386,7 @@ double Candidates::gather(const Vec3& centre, double reach, double path, double 
     last_path_ = path;
     off_ = off;
     near_ = 0.5 * reach;
+    if (level_->visible_count != 1) choose_parts(centre, reach);
     bool complete = false;
     for (int attempt = 0; attempt < 13; ++attempt) {
         block_count_ = 0;
@@ -373,7 +398,7 @@ double Candidates::gather(const Vec3& centre, double reach, double path, double 
     }
     // Evaluations go to the pairs that are listed again; those of the others are free.
     for (std::uint32_t i = 0; last_evaluated_ > 0 && i < block_count_; ++i)
-        if (pairs_[i].stamp != kListed) last_pairs_[known(pairs_[i].block, pairs_[i].ball).index].stamp = kListed;
+        if (pairs_[i].stamp != kListed) last_pairs_[known(pairs_[i].block, pairs_[i].whose).index].stamp = kListed;
     if (last_evaluated_ > 0) release();
     valid_ = true;
     // With nothing near, the candidates (none) stay complete for as long as the tool is clear.

@@ -5,12 +5,13 @@
 // point. Items are complete as long as no ball has moved further than `reach` from where it was: a ball that was clear
 // by c then cannot have come within c - s after it moved s. Turning the tool moves balls too, and only shifts items.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
 
 #include "core/kernels.hpp"
-#include "core/occupancy.hpp"
+#include "core/scene.hpp"
 #include "core/tool_tree.hpp"
 #include "core/triangle.hpp"
 #include "core/vec.hpp"
@@ -31,7 +32,7 @@ public:
 
     // The tree must outlive this; its offsets may turn.
     void allocate(const ToolTree& tree, std::size_t balls);
-    void bind(const ActiveLevel& level, const Kernels& kernels);
+    void bind(const SceneLevel& level, const Kernels& kernels);
 
     // Everything that a ball could touch while it stays within `reach` of where it is with the reference at centre.
     // Items beyond the reach and repeated ones may be among it. Blocks are only listed, with a lower bound of their
@@ -53,13 +54,16 @@ public:
     // The tool's balls moved by up to `distance` relative to the reference point.
     void rotated(double distance) { odometer_ += distance, turned_ += distance; }
 
-    [[nodiscard]] const ActiveLevel& level() const { return *level_; }
+    [[nodiscard]] const SceneLevel& level() const { return *level_; }
     [[nodiscard]] bool valid() const { return valid_; }
     [[nodiscard]] const Vec3& centre() const { return centre_; }
     // What is left for the reference point to move.
     [[nodiscard]] double reach() const { return reach_ - turned_; }
     [[nodiscard]] std::uint32_t block_count() const { return block_count_; }
-    [[nodiscard]] std::uint32_t ball(std::uint32_t i) const { return pairs_[i].ball; }
+    [[nodiscard]] std::uint32_t ball(std::uint32_t i) const { return pairs_[i].whose & 0xffffu; }
+    [[nodiscard]] std::uint16_t part(std::uint32_t i) const {
+        return static_cast<std::uint16_t>(pairs_[i].whose >> 16);
+    }
     // Lower bound of the pair's clearance with the reference point at x (relative to centre()), without evaluating it.
     [[nodiscard]] double bound(std::uint32_t i, const Vec3& x) const;
     // Whether the move from -> from + step of the reference point (relative to centre()) keeps the ball by the margin
@@ -68,13 +72,13 @@ public:
     [[nodiscard]] std::uint32_t triangle_id(std::uint32_t i, std::uint32_t lane) const;
     // As an obstacle of the reference point, relative to centre().
     [[nodiscard]] Triangle triangle(std::uint32_t i, std::uint32_t lane) const {
-        const auto& v = level_->view.blocks[pairs_[i].block].v;
-        const Vec3 at = centre_ + solver_balls_[pairs_[i].ball].offset;
+        const auto& v = triangles(i).v;
+        const Vec3 at = centre_ + solver_balls_[ball(i)].offset;
         return {Vec3{v[0][lane], v[1][lane], v[2][lane]} - at, Vec3{v[3][lane], v[4][lane], v[5][lane]} - at,
                 Vec3{v[6][lane], v[7][lane], v[8][lane]} - at};
     }
     [[nodiscard]] std::uint32_t block(std::uint32_t i) const { return pairs_[i].block; }
-    [[nodiscard]] const TriBlock& triangles(std::uint32_t i) const { return level_->view.blocks[pairs_[i].block]; }
+    [[nodiscard]] const TriBlock& triangles(std::uint32_t i) const { return surface(i).view.blocks[pairs_[i].block]; }
     // Of every pair's block, in the order of the list. Only where one ball is used.
     [[nodiscard]] const BlockBound* listed_bounds() const { return listed_bounds_.data(); }
     // Looks at a pair with the reference point at x, and keeps what it sees. Returns the least clearance.
@@ -93,25 +97,28 @@ public:
 
 private:
     struct Pair {
-        std::uint32_t block, ball, slot, stamp;
+        std::uint32_t block, whose, slot, stamp;  // whose: the part in the upper half, the ball in the lower
     };
     struct Known {  // of a pair of the last gather
-        std::uint32_t block, ball, index, epoch;
+        std::uint32_t block, whose, index, epoch;
     };
     static constexpr std::uint32_t kTable = 4 * kMaxBlocks;
 
+    [[nodiscard]] const ActiveLevel& surface(std::uint32_t i) const { return *level_->surfaces[part(i)]; }
+    void look_at(std::uint32_t part) { part_ = part, surface_ = level_->surfaces[part]; }
+    void choose_parts(const Vec3& centre, double reach);
     bool gather_node(std::uint32_t node, double reach, TickCounters& counters);
     bool gather_balls(std::uint32_t node, double reach, TickCounters& counters);
     bool gather_one(std::uint32_t place, double reach, TickCounters& counters);
-    void list(std::uint32_t block, std::uint32_t ball, double bound);
+    void list(std::uint32_t block, std::uint32_t whose, double bound);
     void remember();
     void release();
-    [[nodiscard]] Known& known(std::uint32_t block, std::uint32_t ball);
-    [[nodiscard]] double empty_within(const Vec3& centre, double outer, TickCounters& counters) const;
+    [[nodiscard]] Known& known(std::uint32_t block, std::uint32_t whose);
+    [[nodiscard]] double empty_within(const Vec3& centre, double outer, TickCounters& counters);
     template <class Use>
     void for_cells(const Vec3& centre, double range, TickCounters& counters, Use&& use) const;
 
-    const ActiveLevel* level_ = nullptr;
+    const SceneLevel* level_ = nullptr;
     const Kernels* kernels_ = nullptr;
     std::vector<Pair> pairs_, last_pairs_;
     std::vector<double> keys_, last_keys_;
@@ -121,6 +128,11 @@ private:
     std::vector<Known> table_;         // open addressing; entries of other epochs are empty
     std::span<const SolverBall> solver_balls_;
     const ToolTree* tree_ = nullptr;
+    double tool_mm_ = 0.0;  // no kept ball reaches further from the reference point, however the tool is turned
+    std::array<std::uint32_t, kMaxParts> near_parts_{};  // that this gather looks at
+    std::uint32_t near_count_ = 0;
+    std::uint32_t part_ = 0;                // whose surface is being looked at
+    const ActiveLevel* surface_ = nullptr;  // while it is listed
     // A ball (in the tree's order), or all balls below a node, stay clear until the odometer says this.
     std::vector<double> balls_clear_until_, nodes_clear_until_, nodes_looked_at_;
     std::uint32_t block_count_ = 0, last_count_ = 0, evaluated_ = 0, last_evaluated_ = 0, epoch_ = 0, table_mask_ = 0;

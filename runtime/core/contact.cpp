@@ -20,7 +20,8 @@ constexpr double kAheadOfFace = 1.3;  // a face is proven for so many ticks' mot
 
 // Sliding over a rounded edge converges linearly, slowly where the HIP is near the centre of curvature. Successive
 // steps in one direction tell the rate (Aitken), and a short step is stretched to where they lead; it is swept all the
-// same. A long one is not: it could leap over the minimum it would have come to.
+// same. A long one is not, nor does a stretched one become longer than a short one may be: it could leap over the
+// minimum it would have come to, and round an open border behind that.
 class Slide {
 public:
     double stretch(const Vec3& step, double length) {
@@ -60,11 +61,11 @@ double time_of_touch(const Triangle& triangle, const Vec3& p, const Vec3& step, 
     return t;
 }
 
-void ContactSolver::bind(const ActiveLevel& level, const Kernels& kernels, const Tolerances& tolerances) {
+void ContactSolver::bind(const SceneLevel& level, const Kernels& kernels, const Tolerances& tolerances) {
     kernels_ = &kernels;
     tolerances_ = tolerances;
-    mean_edge_mm_ = double{level.view.hash->mean_edge_mm};
-    cell_mm_ = level.view.hash->cell_mm;
+    mean_edge_mm_ = level.mean_edge_mm;
+    cell_mm_ = level.cell_mm;
     candidates_.bind(level, kernels);
     face_ = {};
     sole_ = false;
@@ -133,7 +134,8 @@ void ContactSolver::collect_touching(std::span<const SolverBall> balls, TickCoun
             }
             const Touch touch{d - ball.kept,
                               {n, dot(n, c.point) + ball.kept, c.point + ball.offset, ball.kept - ball.radius,
-                               candidates_.triangle_id(i, k), candidates_.ball(i), i, k}};
+                               candidates_.triangle_id(i, k), candidates_.ball(i), i, static_cast<std::uint16_t>(k),
+                               candidates_.part(i)}};
             for (; at > 0 && touches_[at - 1].clearance > touch.clearance; --at) touches_[at] = touches_[at - 1];
             touches_[at] = touch;
         }
@@ -365,7 +367,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
         bool stretched = false;
         if (solution.active > 0) {
             // Stretched, then back behind no plane: the sweep spares what the planes separate.
-            if (const double stretch = slide.stretch(step, length);
+            if (const double stretch = std::min(slide.stretch(step, length), kShortStep * mean_edge_mm_ / length);
                 stretch > 1.0 && length < (k < kPatience ? 0.3 : 1.0) * kShortStep * mean_edge_mm_) {
                 const PlaneSolution far =
                     nearest_feasible(planes_, local_ + step * stretch, false, 1e-3 * tolerances_.settled);

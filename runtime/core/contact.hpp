@@ -44,7 +44,7 @@ struct BallSide {
     std::uint32_t first = 0;  // the candidate that may be nearest
     Vec3 point, normal;       // angle-weighted, not normalised
     std::uint32_t around = 0;
-    std::array<std::uint32_t, kMostAround> counted;
+    std::array<std::uint64_t, kMostAround> counted;  // part and triangle
 };
 
 struct Contact {
@@ -66,7 +66,7 @@ public:
         touches_.resize(kMaxTouches);
         sides_.resize(balls);
     }
-    void bind(const ActiveLevel& level, const Kernels& kernels, const Tolerances& tolerances);
+    void bind(const SceneLevel& level, const Kernels& kernels, const Tolerances& tolerances);
 
     // A tick that has done so much work is cut short: its SCP is safe but not final. Infinite: never.
     void limit_work(double limit) { work_limit_ = limit; }
@@ -107,6 +107,7 @@ public:
     // Lists what is near the present position, or a point ahead of it, see Candidates::gather.
     double gather(double reach, std::span<const SolverBall> balls, TickCounters& counters, const Vec3& ahead = {});
     Candidates& candidates() { return candidates_; }
+    [[nodiscard]] const SceneLevel& shown() const { return candidates_.level(); }
     // Between a gather about the present position and the next move: what a pair looks like from there.
     void begin_looking() {
         next_stamp();
@@ -176,6 +177,7 @@ private:
     struct ProvenFace {
         static constexpr std::uint32_t kNoFace = 0xffffffffu;
         std::uint32_t triangle = kNoFace;
+        std::uint16_t part = 0;
         Triangle corners;  // relative to the level's origin
         Vec3 normal;       // to the ball's side
         Vec3 place;        // of the ball's centre

@@ -54,7 +54,7 @@ void look_closer(ContactSolver& solver, std::uint32_t i, BallSide& s, double kep
         if (distance < s.distance - same) s.distance = distance, s.point = p.point, s.normal = {}, s.around = 0;
         // Each triangle counts once, though candidates may repeat it.
         const auto last = s.counted.begin() + s.around;
-        const std::uint32_t id = candidates.triangle_id(i, k);
+        const std::uint64_t id = std::uint64_t{candidates.part(i)} << 32 | candidates.triangle_id(i, k);
         if (s.around < BallSide::kMostAround && std::find(s.counted.begin(), last, id) == last) {
             s.counted[s.around++] = id;
             s.normal += weighted_normal(t, p, same * same);

@@ -135,10 +135,11 @@ MappingOutcome Mapper::two_sided(ContactSolver& solver, const ContactMemory& mem
     return outcome;
 }
 
-MappingOutcome Mapper::paper(ContactSolver& solver, const LevelView& level, const ContactMemory& memory,
-                             double length_mm, TickCounters& counters) {
+namespace {
+
+// The nearest intersection of p q with what one surface holds in the box of the two corner voxels.
+double first_hit_in_corner_box(const LevelView& level, const Vec3& p, const Vec3& q, TickCounters& counters) {
     const double h = level.hash->cell_mm;
-    const Vec3 p = memory.point, q = p + memory.normal * length_mm;
     const double from[3] = {p.x, p.y, p.z}, to[3] = {q.x, q.y, q.z}, loose = double{level.hash->loose_mm};
     std::int32_t lo[3], hi[3];
     for (int k = 0; k < 3; ++k) {
@@ -168,6 +169,18 @@ MappingOutcome Mapper::paper(ContactSolver& solver, const LevelView& level, cons
                     }
                 }
             }
+    return nearest;
+}
+
+}  // namespace
+
+MappingOutcome Mapper::paper(ContactSolver& solver, const ContactMemory& memory, double length_mm,
+                             TickCounters& counters) {
+    const Vec3 p = memory.point, q = p + memory.normal * length_mm;
+    const SceneLevel& level = solver.candidates().level();
+    double nearest = 2.0;
+    for (std::uint32_t v = 0; v < level.visible_count; ++v)
+        nearest = std::min(nearest, first_hit_in_corner_box(level.surfaces[level.visible[v]]->view, p, q, counters));
     solver.candidates().invalidate();
     if (nearest > 1.0) return MappingOutcome::miss;
     solver.place(solver.position() + memory.normal * (length_mm * nearest));

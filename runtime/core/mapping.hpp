@@ -42,8 +42,8 @@ public:
 
     // The paper's rule: one-sided [P, P + l n] from the contact point, all voxels of the box of the two corner voxels,
     // the nearest intersection becomes the contact point; on a miss the SCP stays and contact detection decides.
-    static MappingOutcome paper(ContactSolver& solver, const LevelView& level, const ContactMemory& memory,
-                                double length_mm, TickCounters& counters);
+    static MappingOutcome paper(ContactSolver& solver, const ContactMemory& memory, double length_mm,
+                                TickCounters& counters);
 
 private:
     static constexpr std::size_t kMaxCrossings = 1024;

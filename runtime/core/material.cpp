@@ -34,6 +34,7 @@ std::string check_materials(std::span<const Material> materials, std::size_t ver
 }
 
 FeltMaterial material_at(const LevelView& level, const ConfigData& station, std::uint32_t face, const Vec3& point) {
+    if (level.materials.empty()) return FeltMaterial::of_station(station);
     const Triangle t = level_triangle(level, face);
     const Vec3 n = cross(t.b - t.a, t.c - t.a);
     const double nn = norm2(n);
@@ -49,14 +50,18 @@ FeltMaterial material_at(const LevelView& level, const ConfigData& station, std:
     return felt;
 }
 
-FeltMaterial contact_material(const LevelView& level, const ConfigData& station, const Contact& contact,
-                              ContactSolver& solver, std::span<const SolverBall> balls, TickCounters& counters) {
-    if (level.materials.empty()) return FeltMaterial::of_station(station);
+FeltMaterial contact_material(const ConfigData& station, const Contact& contact, ContactSolver& solver,
+                              std::span<const SolverBall> balls, TickCounters& counters) {
+    const SceneLevel& level = solver.candidates().level();
+    const auto view = [&level](std::uint32_t part) -> const LevelView& { return level.surfaces[part]->view; };
+    if (std::all_of(level.visible.begin(), level.visible.begin() + level.visible_count,
+                    [&](std::uint32_t part) { return view(part).materials.empty(); }))
+        return FeltMaterial::of_station(station);
     FeltMaterial sum;
     double total = 0.0;
     const auto add = [&](const ContactPlane& p, const Vec3& point, double weight) {
         if (!(weight > 0.0)) return;
-        sum.add(material_at(level, station, p.triangle, point), weight);
+        sum.add(material_at(view(p.part), station, p.triangle, point), weight);
         total += weight;
     };
     for (int i = 0; i < contact.active; ++i) add(contact.planes[i], contact.planes[i].point, contact.multiplier[i]);
@@ -79,7 +84,8 @@ FeltMaterial contact_material(const LevelView& level, const ConfigData& station,
         }
     }
     // At no depth at all nothing has a weight, and there is no force yet.
-    if (!(total > 0.0)) return material_at(level, station, contact.planes[0].triangle, contact.planes[0].point);
+    const ContactPlane& first = contact.planes[0];
+    if (!(total > 0.0)) return material_at(view(first.part), station, first.triangle, first.point);
     FeltMaterial mean;
     mean.add(sum, 1.0 / total);
     return mean;

@@ -38,15 +38,15 @@ inline FeltMaterial between(const FeltMaterial& from, const FeltMaterial& to, do
     return felt;
 }
 
-// At a point of a face: between its corners by barycentric coordinates. A corner is never stiffer than the station.
+// At a point of a face: between its corners by barycentric coordinates. A corner is never stiffer than the station. A
+// level without materials is the station's.
 [[nodiscard]] FeltMaterial material_at(const LevelView& level, const ConfigData& station, std::uint32_t face,
                                        const Vec3& point);
 
 // Of a contact: the mean over its active planes by their multipliers, and over what touches at the same time without
 // holding the tool (two balls on one plane) by its clearance, so that it changes nothing at once when the two change
 // places.
-[[nodiscard]] FeltMaterial contact_material(const LevelView& level, const ConfigData& station, const Contact& contact,
-                                            ContactSolver& solver, std::span<const SolverBall> balls,
-                                            TickCounters& counters);
+[[nodiscard]] FeltMaterial contact_material(const ConfigData& station, const Contact& contact, ContactSolver& solver,
+                                            std::span<const SolverBall> balls, TickCounters& counters);
 
 }  // namespace hapticlod

@@ -16,7 +16,8 @@ struct ContactPlane {
     double slack = 0.0;   // kept distance beyond the ball's radius: skin and crack bridging
     std::uint32_t triangle = 0;
     std::uint32_t ball = 0;
-    std::uint32_t block = 0, lane = 0;  // the candidate it belongs to
+    std::uint32_t block = 0;           // the candidate it belongs to
+    std::uint16_t lane = 0, part = 0;  // and whose triangle it is
 };
 
 inline constexpr int kMaxPlanes = 24;

@@ -2,70 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <vector>
 
-#include "core/blend.hpp"
 #include "core/config_check.hpp"
-#include "core/contact.hpp"
 #include "core/flush_denormals.hpp"
-#include "core/force_gate.hpp"
-#include "core/inside.hpp"
-#include "core/mapping.hpp"
-#include "core/material.hpp"
-#include "core/speed.hpp"
+#include "core/renderer_state.hpp"
 #include "core/surface.hpp"
-#include "core/switching.hpp"
 
 namespace hapticlod {
-
-struct Renderer::State {
-    ConfigData config{};
-    std::vector<ActiveLevel> levels;
-    std::vector<Vec3> tool_centres;
-    std::vector<SolverBall> balls;
-    std::vector<Vec3> turned;  // scratch: offsets of the next orientation
-    ToolTree tree;
-    ToolLinks links;
-    Tolerances tolerances;
-    double extent_mm = 0.0;
-
-    ContactSolver solver;
-    Mapper mapper;
-    SpeedEstimator speed;
-    LevelSwitch level_switch;
-    ProbeDistance probe;
-    Blend blend;
-    ForceGate gate;
-
-    bool started = false;
-    double time_s = 0.0, last_stamp_s = 0.0;
-    Vec3 hip;                                 // relative to the origin
-    double asked[4] = {1.0, 0.0, 0.0, 0.0};   // orientation of the last pose
-    double facing[4] = {1.0, 0.0, 0.0, 0.0};  // and of the tool: a turn that is too large or barred comes later
-    Contact contact;
-    Vec3 shade;  // what force shading adds to the contact's SCP: the force points from the HIP to scp + shade
-    ContactMemory memory;
-    bool has_materials = false;  // on any level: without, `felt` stays the station's
-    FeltMaterial felt;           // what the force is made with: `touched`, after a level switch `switched` at first
-    FeltMaterial touched;        // of the last contact that was not held by friction
-    FeltMaterial switched;       // what was felt when the level changed
-
-    [[nodiscard]] std::span<const SolverBall> tool(std::uint32_t level) const {
-        return {balls.data(), std::min<std::size_t>(config.balls[level], balls.size())};
-    }
-    void forget();
-    double accept_pose(const Pose& pose, double time_s, TickCounters& counters);
-    double probe_distance_mm(TickCounters& counters);
-    void turn(const double q[4]);
-    void turn_as_asked(double motion_mm, TickCounters& counters);
-    bool get_out(std::uint32_t level, double bound_mm, bool& moved, TickCounters& counters);
-    void start(TickCounters& counters);
-    MappingOutcome switch_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
-    MappingOutcome change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip, TickCounters& counters);
-    void touch(std::uint32_t level, const Vec3& target, const Vec3& motion, TickCounters& counters);
-    [[nodiscard]] Vec3 shading(std::uint32_t level) const;
-    [[nodiscard]] Vec3 force(const Vec3& pulled_to) const;
-};
 
 Renderer::Renderer() : state_(std::make_unique<State>()) {}
 Renderer::~Renderer() = default;
@@ -76,25 +19,38 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
                            std::span<const BallData> tool) {
     if (std::string fault = check_config(config); !fault.empty()) return fault;
     if (levels.size() != config.level_count) return "the number of levels differs from level_count";
+    auto own = std::make_unique<Part>(levels);
+    const Part* const only = own.get();
+    if (std::string fault = load_scene(config, {&only, 1}, 1, tool); !fault.empty()) return fault;
+    state_->own = std::move(own);
+    return {};
+}
+
+std::string Renderer::load_scene(const ConfigData& config, std::span<const Part* const> parts, std::uint64_t visible,
+                                 std::span<const BallData> tool) {
+    if (std::string fault = check_config(config); !fault.empty()) return fault;
     if (tool.empty() || tool.size() > kMaxBalls) return "a tool needs 1 to 4096 balls";
-    for (const LevelView& level : levels)
-        if (level.hash == nullptr || level.triangle_count() == 0) return "a level is empty";
-    for (const LevelView& level : levels)
-        if (std::string fault = check_materials(level.materials, level.vertex_count()); !fault.empty()) return fault;
+    if (parts.empty() || parts.size() > kMaxParts) return "a scene needs 1 to 64 parts";
+    for (const Part* part : parts) {
+        if (!part->fault().empty()) return part->fault();
+        if (part->level_count() > config.level_count) return "a part has more levels than level_count";
+    }
     State& s = *state_;
     s.config = config;
-    s.levels.clear();
-    for (const LevelView& level : levels) s.levels.emplace_back(level);
-    s.has_materials =
-        std::any_of(levels.begin(), levels.end(), [](const LevelView& l) { return !l.materials.empty(); });
-    const HashHeader& h = *levels[0].hash;
-    s.extent_mm =
-        norm(Vec3{h.bbox_max[0] - h.bbox_min[0], h.bbox_max[1] - h.bbox_min[1], h.bbox_max[2] - h.bbox_min[2]});
+    s.own.reset();
+    s.wanted = visible & all_parts(static_cast<std::uint32_t>(parts.size()));
+    s.exchanged = 0;
+    s.scene_changes = false;
+    s.scene.load(parts, s.wanted, config.level_count);
+    s.box = {};
+    for (const Part* part : parts) s.box.add(part->box());
+    s.has_materials = std::any_of(parts.begin(), parts.end(), [](const Part* p) { return p->has_materials(); });
+    s.extent_mm = s.box.diagonal();
     if (!(s.extent_mm > 0.0)) return "level 0 has no extent";
     s.tolerances = Tolerances::of_extent(s.extent_mm);
     // A closed surface has no cracks to bridge.
-    const bool closed = std::all_of(s.levels.begin(), s.levels.end(), [](const ActiveLevel& l) { return l.closed; });
-    const double crack_mm = closed ? 0.0 : config.crack_mm;
+    s.bridges = !std::all_of(parts.begin(), parts.end(), [](const Part* p) { return p->closed(); });
+    const double crack_mm = s.bridges ? config.crack_mm : 0.0;
     s.tool_centres.clear();
     s.balls.clear();
     for (const BallData& b : tool) {
@@ -105,6 +61,8 @@ std::string Renderer::load(const ConfigData& config, std::span<const LevelView> 
         const double kept = std::max(b.radius_mm, crack_mm) + s.tolerances.skin;
         s.balls.push_back({centre, b.radius_mm, kept});
     }
+    s.tool_mm = 0.0;
+    for (const SolverBall& ball : s.balls) s.tool_mm = std::max(s.tool_mm, norm(ball.offset) + ball.kept);
     s.turned.resize(s.balls.size());
     s.tree.build(s.tool_centres, s.balls);
     s.links.build(s.tool_centres, s.balls, std::span(config.balls, config.level_count));
@@ -127,7 +85,7 @@ void Renderer::State::forget() {
     turn(identity);
     std::copy(identity, identity + 4, asked);
     felt = touched = FeltMaterial::of_station(config);
-    solver.bind(levels[0], best_kernels(), tolerances);
+    solver.bind(scene.at(0), best_kernels(), tolerances);
 }
 
 void Renderer::reset() noexcept { state_->forget(); }
@@ -135,8 +93,40 @@ void Renderer::set_coarsest_floor(std::uint32_t level) noexcept { state_->level_
 const ConfigData& Renderer::config() const noexcept { return state_->config; }
 std::size_t Renderer::scratch_bytes() const noexcept {
     std::size_t size = sizeof(State) + state_->solver.candidates().bytes() + Mapper::bytes();
-    for (const ActiveLevel& level : state_->levels) size += level.bytes();
+    size += state_->scene.bytes();
+    for (std::uint32_t i = 0; i < state_->scene.part_count(); ++i) size += state_->scene.part(i).bytes();
     return size;
+}
+
+void Renderer::show(std::uint64_t visible) noexcept {
+    state_->wanted = visible & all_parts(state_->scene.part_count());
+    state_->scene_changes = true;
+}
+std::uint64_t Renderer::visible() const noexcept { return state_->wanted; }
+std::uint64_t Renderer::touched() const noexcept { return state_->touched_parts(); }
+
+std::string Renderer::refusal(std::uint32_t part, const Part& next) const {
+    const State& s = *state_;
+    if (part >= s.scene.part_count()) return "there is no such part";
+    if (next.level_count() > s.config.level_count) return "the part has more levels than the scene";
+    if (std::string fault = next.fault(); !fault.empty()) return fault;
+    if (!next.closed() && !s.bridges && s.config.crack_mm > 0.0)
+        return "the part has open borders, and the scene was loaded without any: its cracks would not be bridged";
+    Box box = next.box();
+    box.add(s.box);
+    if (box.diagonal() > 2.0 * s.extent_mm)
+        return "the part reaches far beyond the scene: its tolerances would not fit";
+    return {};
+}
+
+const Part* Renderer::exchange(std::uint32_t part, const Part& next) noexcept {
+    State& s = *state_;
+    if (part >= s.scene.part_count() || next.level_count() > s.config.level_count) return nullptr;
+    s.exchanged |= std::uint64_t{1} << part;
+    s.scene_changes = true;
+    s.has_materials = s.has_materials || next.has_materials();
+    s.solver.candidates().invalidate();
+    return s.scene.exchange(part, &next);
 }
 
 // Rotates the tool about its reference point.
@@ -238,89 +228,6 @@ double Renderer::State::accept_pose(const Pose& pose, double now_s, TickCounters
     return dt;
 }
 
-// Where the tool overlaps the surface or is inside it: out, to the nearest place in front of it. False: it overlaps
-// still. `moved` says whether it had to.
-bool Renderer::State::get_out(std::uint32_t level, double bound_mm, bool& moved, TickCounters& counters) {
-    const auto used = tool(level);
-    const SurfaceSide side = surface_side(solver, used, bound_mm, counters);
-    moved = side.found && side.distance < used[side.ball].kept;
-    if (!moved || place_on_closest(solver, used, 2.0 * bound_mm, nullptr, counters)) return true;
-    // Its balls want out on different sides, of a thin plate perhaps: any straight way out will do, a short one first.
-    double size = 0.0;
-    for (const SolverBall& ball : used) size = std::max(size, norm(ball.offset) + ball.kept);
-    const double longest = levels[level].closed ? extent_mm : bound_mm;
-    const Vec3 n = side.normal;
-    for (double way_mm = std::min(2.0 * size, longest);; way_mm = std::min(2.0 * way_mm, longest)) {
-        for (const Vec3& way :
-             {n, -n, Vec3{0, 0, 1}, Vec3{0, 0, -1}, Vec3{0, 1, 0}, Vec3{0, -1, 0}, Vec3{1, 0, 0}, Vec3{-1, 0, 0}}) {
-            ContactMemory out;
-            out.normal = way;
-            if (mapper.rest_on_line(solver, out, 0.0, way_mm, true, used, counters)) return true;
-        }
-        if (way_mm >= longest) return false;
-    }
-}
-
-// First tick: where the tool overlaps the surface, contact begins at the nearest place outside it, softly.
-void Renderer::State::start(TickCounters& counters) {
-    solver.place(hip);
-    // Behind an open sheet is a place to be; inside a closed body is not, however deep.
-    bool moved = false;
-    get_out(0, (levels[0].closed ? 1.0 : 0.05) * extent_mm, moved, counters);
-    if (!moved) return;
-    counters.errors |= kErrStartInside;
-    gate.engage(config.engage_s);
-}
-
-MappingOutcome Renderer::State::change_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip,
-                                             TickCounters& counters) {
-    const bool paper = config.mapping == static_cast<std::uint32_t>(Mapping::paper);
-    if (contact.active == 0) {
-        // In free space, but outside this level may be inside the next: the tool must not start behind it.
-        const double bound = paper ? 0.0 : config.closest_bound_mm;
-        if (bound > 0.0) {
-            const SurfaceSide before = surface_side(solver, tool(from), bound, counters);
-            solver.bind(levels[to], best_kernels(), tolerances);
-            bool moved = false;
-            if (!before.found || before.distance >= 0.0) get_out(to, bound, moved, counters);
-        } else {
-            solver.bind(levels[to], best_kernels(), tolerances);
-        }
-        return MappingOutcome::none;
-    }
-    solver.bind(levels[to], best_kernels(), tolerances);
-    if (paper) return Mapper::paper(solver, levels[to].view, memory, config.l_out_mm, counters);
-    const MappingOutcome outcome =
-        mapper.two_sided(solver, memory, config.l_in_mm, config.l_out_mm, config.closest_bound_mm, tool(to), counters);
-    if (outcome == MappingOutcome::miss) {
-        // Where it was it may well be free on this level: then it goes on from there.
-        counters.errors |= kErrContactLost;
-        const double longest = std::max({config.l_in_mm, config.l_out_mm, config.closest_bound_mm});
-        bool moved = false;
-        if (!get_out(to, levels[to].closed ? extent_mm : 2.0 * longest, moved, counters)) solver.place(last_hip);
-        if (moved) gate.engage(config.engage_s);
-    }
-    return outcome;
-}
-
-// Changes the level with the HIP where it was in the last tick: what the blend must hide is the change alone.
-MappingOutcome Renderer::State::switch_level(std::uint32_t from, std::uint32_t to, const Vec3& last_hip,
-                                             TickCounters& counters) {
-    const bool touching = contact.active > 0;
-    const Vec3 rendered = blend.rendered(contact.scp + shade, norm(contact.scp - last_hip));
-    const MappingOutcome outcome = change_level(from, to, last_hip, counters);
-    if (!touching) return outcome;
-    contact.active = 0;  // friction holds nothing of the old level
-    if (outcome != MappingOutcome::miss && config.blend_s > 0.0) {
-        touch(to, last_hip, {}, counters);
-        if (contact.active > 0) {
-            blend.begin(rendered - contact.scp - shade, config.blend_s, norm(contact.scp - last_hip));
-            switched = felt;
-        }
-    }
-    return outcome;
-}
-
 // Contact at the target with Coulomb friction: the SCP holds until the pull leaves the static cone, then trails the
 // frictionless SCP at the radius of the dynamic cone (Harwin & Melder 2002).
 void Renderer::State::touch(std::uint32_t level, const Vec3& target, const Vec3& motion, TickCounters& counters) {
@@ -346,8 +253,8 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, const Vec3&
     if (contact.active == 0) return;
     if (contact.between) return;
     if (has_materials && !stuck)  // where friction holds the tool, it stays on what it lies on
-        touched = contact_material(levels[level].view, config, contact, solver, tool(level), counters);
-    shade = shading(level);
+        touched = contact_material(config, contact, solver, tool(level), counters);
+    shade = shading();
     int strongest = 0;
     for (int i = 1; i < contact.active; ++i)
         if (contact.multiplier[i] > contact.multiplier[strongest]) strongest = i;
@@ -362,13 +269,13 @@ void Renderer::State::touch(std::uint32_t level, const Vec3& target, const Vec3&
 
 // The part of the force that the faces give, turned from their normals to the interpolated ones. Friction is left
 // alone.
-Vec3 Renderer::State::shading(std::uint32_t level) const {
+Vec3 Renderer::State::shading() const {
     if (config.shading == 0) return {};
     Vec3 faces, sum;
     for (int i = 0; i < contact.active; ++i) {
         const ContactPlane& p = contact.planes[i];
         faces += p.normal * contact.multiplier[i];
-        sum += shaded_normal(levels[level].view, p.triangle, p.point, p.normal) * contact.multiplier[i];
+        sum += shaded_normal(view(p), p.triangle, p.point, p.normal) * contact.multiplier[i];
     }
     const double length = norm(sum);
     return length > 0.0 ? sum * (norm(faces) / length) - faces : Vec3{};
@@ -392,6 +299,7 @@ void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
     TickCounters counters;
     const Vec3 last_hip = s.hip;
     const bool first = !s.started;
+    if (s.scene_changes) s.change_scene(counters);
     const double dt = s.accept_pose(pose, time_s, counters);
     if (!s.started && (counters.errors & kErrHipNotFinite) != 0) {
         out.errors = counters.errors;

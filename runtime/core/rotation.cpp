@@ -71,7 +71,8 @@ bool ContactSolver::make_way(std::span<const SolverBall> balls, std::span<const 
                                          candidates_.triangle_id(i, k),
                                          which,
                                          i,
-                                         k};
+                                         static_cast<std::uint16_t>(k),
+                                         candidates_.part(i)};
                 if (already_there(planes, plane, 0.01 * skin)) continue;
                 if (planes.count == kMaxPlanes) return false;
                 planes.planes[planes.count++] = plane;

@@ -54,8 +54,8 @@ double way_along(const Vec3& normal, double offset, const Vec3& from, const Vec3
 Triangle ContactSolver::triangle_of(const ContactPlane& plane, const SolverBall& ball) const {
     if (plane.block != kNone) return candidates_.triangle(plane.block, plane.lane);
     const Vec3 at = candidates_.centre() + ball.offset;
-    return (plane.triangle == face_.triangle ? face_.corners
-                                             : level_triangle(candidates_.level().view, plane.triangle)) -
+    const bool proven = plane.triangle == face_.triangle && plane.part == face_.part;
+    return (proven ? face_.corners : level_triangle(candidates_.level().surfaces[plane.part]->view, plane.triangle)) -
            at;
 }
 
@@ -73,7 +73,8 @@ bool ContactSolver::on_proven_face(std::span<const SolverBall> balls, const Vec3
     const Vec3 n = (local_ - c.point) * (1.0 / d);
     const double offset = dot(n, c.point) + ball.kept;
     if (dot(n, face_.normal) < 0.0 || way_along(n, offset, local_, target) > left) return false;
-    planes_.planes[0] = {n, offset, c.point + ball.offset, ball.kept - ball.radius, face_.triangle, 0, kNone, 0};
+    planes_.planes[0] = {n, offset,    c.point + ball.offset, ball.kept - ball.radius, face_.triangle, 0, kNone,
+                         0, face_.part};
     planes_.count = 1;
     proven_ = left;
     return true;
@@ -181,15 +182,21 @@ bool ContactSolver::find_sole_plane(std::span<const SolverBall> balls, const Vec
         }
         if (radius <= 2.0 * tolerances_.touching) return give_up();
     }
-    planes_.planes[0] = {
-        n,     offset, c.point + ball.offset, ball.kept - ball.radius, candidates_.triangle_id(block, lane), 0,
-        block, lane};
+    planes_.planes[0] = {n,
+                         offset,
+                         c.point + ball.offset,
+                         ball.kept - ball.radius,
+                         candidates_.triangle_id(block, lane),
+                         0,
+                         block,
+                         static_cast<std::uint16_t>(lane),
+                         candidates_.part(block)};
     planes_.count = 1;
     sole_ = true;
     proven_ = radius - tolerances_.touching;
     if (way_along(n, offset, local_, target) > proven_) lower_keys();  // it will be swept
     if (c.interior) {
-        face_.triangle = planes_.planes[0].triangle;
+        face_.triangle = planes_.planes[0].triangle, face_.part = planes_.planes[0].part;
         face_.corners = {triangle.a + at, triangle.b + at, triangle.c + at};
         face_.normal = n, face_.place = at + local_, face_.radius = radius;
     }

@@ -18,7 +18,7 @@ constexpr std::size_t kTicks = 8;
 // What a bundle that was taken must keep: finite forces within its own limit.
 void render(const Bundle& bundle) {
     Renderer renderer;
-    if (!renderer.load(bundle.config(), bundle.levels(), bundle.tool()).empty()) return;
+    if (!bundle.prepare(renderer, bundle.config()).empty()) return;
     const auto motion = bundle.golden_motion();
     for (std::size_t i = 0; i < std::min(kTicks, motion.size()); ++i) {
         Pose pose;

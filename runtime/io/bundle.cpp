@@ -85,6 +85,7 @@ Result<Bundle> Bundle::open(std::span<const std::byte> bytes, const std::string&
         if (std::optional<Fault> found = bundle.check_arrays()) return *std::move(found);
     }
     if (std::string reason = bundle.rebuild(); !reason.empty()) return fault(std::move(reason));
+    if (std::string reason = bundle.make_parts(); !reason.empty()) return fault(std::move(reason));
     return bundle;
 }
 
@@ -113,6 +114,8 @@ std::string Bundle::take(SectionType type, std::uint32_t level, std::span<const 
     out = {reinterpret_cast<const T*>(section->bytes.data()), section->bytes.size() / sizeof(T)};
     return {};
 }
+
+template std::string Bundle::take(SectionType, std::uint32_t, std::span<const PartData>&) const;
 
 std::string Bundle::load_signature() {
     const Section* section = find(SectionType::signature);
@@ -145,30 +148,38 @@ std::string Bundle::load() {
     if (std::string reason = take(SectionType::tool, 0, tool_); !reason.empty()) return reason;
     if (std::string reason = tool_fault(tool_); !reason.empty()) return "section TOOL: " + reason;
 
+    for (std::uint32_t level = 0; level < config_->level_count; ++level) {
+        if (config_->balls[level] > tool_.size()) {
+            return "section CONFIG: level " + std::to_string(level) + " uses more balls than the tool has";
+        }
+    }
+    if (find(SectionType::parts) != nullptr) {
+        if (std::string reason = load_parts(); !reason.empty()) return reason;
+        if (std::string reason = load_bounds(); !reason.empty()) return reason;
+        return load_golden();
+    }
     for (const Section& section : sections_) {
         if (is_level_section(section.entry.type) && section.entry.level >= config_->level_count) {
             return "section " + section.name() + " belongs to no level of the config";
         }
     }
     for (std::uint32_t level = 0; level < config_->level_count; ++level) {
-        if (config_->balls[level] > tool_.size()) {
-            return "section CONFIG: level " + std::to_string(level) + " uses more balls than the tool has";
-        }
-        if (std::string reason = load_level(level); !reason.empty()) return reason;
+        if (std::string reason = load_level(level, config_->triangles[level], config_->cell_mm[level]); !reason.empty())
+            return reason;
     }
     if (std::string reason = load_bounds(); !reason.empty()) return reason;
     return load_golden();
 }
 
-std::string Bundle::load_level(std::uint32_t level) {
+std::string Bundle::load_level(std::uint32_t level, std::uint32_t triangles, double cell_mm) {
     LevelView view;
     if (std::string reason = take(SectionType::vertices, level, view.vertices); !reason.empty()) return reason;
     if (std::string reason = take(SectionType::faces, level, view.faces); !reason.empty()) return reason;
     const std::string at = "level " + std::to_string(level) + ": ";
     if (view.vertices.size() % 3 != 0 || view.faces.size() % 3 != 0) return at + "has incomplete vertices or faces";
-    if (view.faces.size() / 3 != config_->triangles[level]) {
+    if (view.faces.size() / 3 != triangles) {
         return at + "has " + std::to_string(view.faces.size() / 3) + " triangles, its config says " +
-               std::to_string(config_->triangles[level]);
+               std::to_string(triangles);
     }
 
     if (find(SectionType::materials, level) != nullptr) {
@@ -177,6 +188,7 @@ std::string Bundle::load_level(std::uint32_t level) {
     }
 
     storage_.push_back(nullptr);
+    cells_mm_.push_back(cell_mm);
     for (auto type = static_cast<std::uint32_t>(SectionType::adjacency); is_acceleration(type); ++type) {
         if (find(static_cast<SectionType>(type), level) == nullptr) {  // or of a version that is not known here
             levels_.push_back(view);                                   // until rebuild()
@@ -198,7 +210,7 @@ std::string Bundle::load_level(std::uint32_t level) {
     for (const std::uint32_t value : view.hash->reserved) {
         if (value != 0) return at + "a reserved field of its hash is not 0";
     }
-    if (view.hash->cell_mm != config_->cell_mm[level]) return at + "its hash has another cell_mm than its config";
+    if (view.hash->cell_mm != cell_mm) return at + "its hash has another cell_mm than its config";
     levels_.push_back(view);
     return {};
 }
@@ -279,7 +291,7 @@ std::string Bundle::rebuild() {
         if (view.hash != nullptr) continue;
         auto storage = std::make_unique<LevelStorage>();
         std::string reason = check_vertices(view.vertices);
-        if (reason.empty()) reason = storage->build(view.vertices, view.faces, config_->cell_mm[level]);
+        if (reason.empty()) reason = storage->build(view.vertices, view.faces, cells_mm_[level]);
         if (reason.empty()) reason = storage->set_materials(view.materials);
         if (!reason.empty()) return "level " + std::to_string(level) + ": " + reason;
         view = storage->view();

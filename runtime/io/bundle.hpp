@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-#include "core/level.hpp"
+#include "core/renderer.hpp"
 #include "io/checked_files.hpp"
 #include "io/mapped_file.hpp"
 #include "io/motion.hpp"
@@ -40,7 +40,16 @@ public:
     [[nodiscard]] std::string_view manifest() const { return manifest_; }  // a JSON object, UTF-8
     [[nodiscard]] const ConfigData& config() const { return *config_; }
     [[nodiscard]] std::span<const BallData> tool() const { return tool_; }
+    // Finest first; of a scene all levels of its first part, then of the next.
     [[nodiscard]] std::span<const LevelView> levels() const { return levels_; }
+    // Of a scene; empty where the bundle holds one scan.
+    [[nodiscard]] std::span<const PartData> parts() const { return parts_; }
+    [[nodiscard]] std::optional<std::uint32_t> part_named(std::string_view name) const;
+    [[nodiscard]] std::span<const LevelView> levels_of(std::uint32_t part) const;
+    // Bits of the parts that are not hidden at first.
+    [[nodiscard]] std::uint64_t visible() const;
+    // Loads a renderer with what the bundle holds, under this configuration. The reason where it refuses.
+    [[nodiscard]] std::string prepare(Renderer& renderer, const ConfigData& config) const;
     [[nodiscard]] bool checked_before() const { return checked_before_; }  // its large arrays were not read again
     [[nodiscard]] bool rebuilt(std::size_t level) const { return storage_[level] != nullptr; }
     // Empty where the bundle has none; else both have one row per tick.
@@ -52,10 +61,12 @@ private:
     [[nodiscard]] const Section* find(SectionType type, std::uint32_t level = 0) const;
     template <class T>
     [[nodiscard]] std::string take(SectionType type, std::uint32_t level, std::span<const T>& out) const;
+    [[nodiscard]] std::string load_level(std::uint32_t stored, std::uint32_t triangles, double cell_mm);
+    [[nodiscard]] std::string load_parts();
+    [[nodiscard]] std::string make_parts();
     [[nodiscard]] static Result<Bundle> open(std::span<const std::byte> bytes, const std::string& name,
                                              bool checked_before);
     [[nodiscard]] std::string load();
-    [[nodiscard]] std::string load_level(std::uint32_t level);
     [[nodiscard]] std::string load_bounds();
     [[nodiscard]] std::string load_golden();
     [[nodiscard]] std::string load_signature();
@@ -71,7 +82,10 @@ private:
     std::string_view manifest_;
     const ConfigData* config_ = nullptr;
     std::span<const BallData> tool_;
+    std::span<const PartData> parts_;
+    std::vector<std::unique_ptr<Part>> scene_;  // of parts_, as the tick uses them
     std::vector<LevelView> levels_;
+    std::vector<double> cells_mm_;                        // as CONFIG or PARTS says, per level
     std::vector<std::unique_ptr<LevelStorage>> storage_;  // per level; null where the file is used in place
     std::span<const MotionRow> golden_motion_;
     std::span<const TickRecord> golden_record_;

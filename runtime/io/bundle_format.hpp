@@ -14,7 +14,8 @@ static_assert(std::endian::native == std::endian::little, "bundles are mapped in
 inline constexpr std::array<std::uint8_t, 8> kBundleMagic = {0x89, 'H', 'L', 'O', 'D', '\r', '\n', 0x1a};
 inline constexpr std::uint32_t kBundleVersion = 1;
 inline constexpr std::uint64_t kSectionAlignment = 64;
-inline constexpr std::uint32_t kMaxSections = 256;
+inline constexpr std::uint32_t kMaxSections = 8192;
+inline constexpr std::uint32_t kMaxStoredLevels = 512;  // of a scene: all levels of all parts, one after the other
 inline constexpr std::uint64_t kMaxManifestBytes = 16u << 20;
 inline constexpr std::uint32_t kSectionOptional = 1u << 0;  // a reader that does not know the section skips it
 
@@ -34,6 +35,7 @@ enum class SectionType : std::uint32_t {
     manifest = 1,
     config = 2,
     tool = 3,
+    parts = 4,  // only where the bundle is a scene; a reader may not do without
     vertices = 16,
     faces = 17,
     adjacency = 18,  // 18..24 speed a level up and can be rebuilt from 16 and 17
@@ -61,6 +63,21 @@ struct SectionEntry {
 };
 static_assert(sizeof(SectionEntry) == 64);
 
+// One part of a scene. Its levels are the stored levels that follow those of the part before; at the scene's level k it
+// shows its level min(k, level_count - 1).
+struct PartData {
+    char name[64];              // UTF-8, 1 to 63 bytes, the rest zero
+    std::uint32_t level_count;  // 1..8, at most the config's
+    std::uint32_t flags;        // bit 0: hidden at first
+    double position_mm[3];      // where the scan was put: for people, the vertices have been moved
+    double orientation[4];      // unit quaternion w x y z: first turned, then moved
+    double cell_mm[8];          // voxel edge, per level of the part
+    std::uint32_t triangles[8];
+    std::uint32_t reserved[8];  // 0
+};
+static_assert(sizeof(PartData) == 256);
+inline constexpr std::uint32_t kPartHidden = 1u << 0;
+
 // The layout of every section type that this runtime reads.
 inline constexpr std::uint32_t kSectionVersion = 1;
 
@@ -83,6 +100,8 @@ inline constexpr std::uint32_t kSectionVersion = 1;
             return "CONFIG";
         case SectionType::tool:
             return "TOOL";
+        case SectionType::parts:
+            return "PARTS";
         case SectionType::vertices:
             return "VERTICES";
         case SectionType::faces:

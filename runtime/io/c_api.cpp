@@ -191,8 +191,7 @@ hlod_status hlod_renderer_create(const hlod_bundle* bundle, const hlod_options* 
         }
         auto made = std::make_unique<hlod_renderer>();
         made->content = bundle->content;
-        if (const std::string reason = made->renderer.load(config, made->content->levels(), made->content->tool());
-            !reason.empty()) {
+        if (const std::string reason = made->content->prepare(made->renderer, config); !reason.empty()) {
             say(message, message_bytes, bundle->content->path() + ": " + reason + "; write the bundle again");
             return HLOD_BAD_BUNDLE;
         }

@@ -11,6 +11,7 @@
 #include <string_view>
 
 #include "io/atomic_file.hpp"
+#include "io/digest.hpp"
 
 namespace hapticlod {
 namespace {
@@ -42,15 +43,6 @@ std::string name_of_start() {
     const ssize_t bytes = ::read(descriptor, name.data(), name.size());
     ::close(descriptor);
     return bytes == static_cast<ssize_t>(name.size()) ? name : std::string{};
-}
-
-std::string hex(const Digest& digest) {
-    std::string text;
-    for (const std::uint8_t byte : digest) {
-        text += "0123456789abcdef"[byte >> 4];
-        text += "0123456789abcdef"[byte & 15];
-    }
-    return text;
 }
 
 bool same_file(const FileState& a, const FileState& b) { return a.device == b.device && a.inode == b.inode; }

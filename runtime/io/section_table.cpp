@@ -42,14 +42,15 @@ Result<BundleHeader> read_header(std::span<const std::byte> file, const std::str
 }
 
 // The reason why an entry cannot be right; empty when it can. `end` is where the previous section ended.
-std::string entry_fault(const SectionEntry& entry, std::uint64_t end, std::uint64_t file_bytes) {
+std::string entry_fault(const SectionEntry& entry, std::uint64_t end, std::uint64_t file_bytes, bool scene) {
     const std::uint64_t aligned = (end + kSectionAlignment - 1) / kSectionAlignment * kSectionAlignment;
     if (entry.offset != aligned) return "does not start where the one before ends";
     if (entry.offset > file_bytes || entry.length > file_bytes - entry.offset) return "reaches beyond the file";
     if ((entry.flags & ~kSectionOptional) != 0) return "has unknown flags";
     // A type that is not known here may be one of levels.
     const bool of_no_level = std::strcmp(section_name(entry.type), "unknown") != 0 && !is_level_section(entry.type);
-    if (entry.level >= kMaxLevels || (entry.level != 0 && of_no_level)) return "has a wrong level";
+    if (entry.level >= (scene ? kMaxStoredLevels : kMaxLevels) || (entry.level != 0 && of_no_level))
+        return "has a wrong level";
     return {};
 }
 
@@ -89,13 +90,17 @@ Result<std::vector<Section>> read_section_table(std::span<const std::byte> file,
     }
 
     std::vector<Section> sections(header.section_count);
+    bool scene = false;
+    for (std::size_t i = 0; i < sections.size(); ++i) {
+        std::memcpy(&sections[i].entry, table.data() + i * sizeof(SectionEntry), sizeof(SectionEntry));
+        scene = scene || sections[i].entry.type == static_cast<std::uint32_t>(SectionType::parts);
+    }
     std::uint64_t end = header.table_offset + table.size();
     for (std::size_t i = 0; i < sections.size(); ++i) {
         Section& section = sections[i];
-        std::memcpy(&section.entry, table.data() + i * sizeof(SectionEntry), sizeof(SectionEntry));
         const SectionEntry& entry = section.entry;
         const std::string where = path + ", " + section.name();
-        if (std::string fault = entry_fault(entry, end, file.size()); !fault.empty()) {
+        if (std::string fault = entry_fault(entry, end, file.size(), scene); !fault.empty()) {
             return Fault{where, fault, kCopyAgain};
         }
         if (!section.known() && (entry.flags & kSectionOptional) == 0) {

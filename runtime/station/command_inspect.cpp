@@ -51,6 +51,39 @@ void write_config(JsonWriter& json, const ConfigData& config) {
     json.close();
 }
 
+// Of a scene: its parts with their levels, and what the scene shows at each of its own.
+void write_parts(JsonWriter& json, const Bundle& bundle) {
+    const ConfigData& config = bundle.config();
+    json.key("scene_triangles").open('[');
+    for (std::uint32_t i = 0; i < config.level_count; ++i) json.value(config.triangles[i]);
+    json.close();
+    json.key("parts").open('[');
+    std::size_t stored = 0;
+    for (const PartData& part : bundle.parts()) {
+        json.open('{').field("name", part.name).field("hidden", (part.flags & kPartHidden) != 0);
+        json.key("position_mm").open('[');
+        for (const double v : part.position_mm) json.value(v);
+        json.close();
+        json.key("orientation").open('[');
+        for (const double v : part.orientation) json.value(v);
+        json.close();
+        json.key("levels").open('[');
+        for (std::uint32_t k = 0; k < part.level_count; ++k, ++stored) {
+            const LevelView& level = bundle.levels()[stored];
+            json.open('{')
+                .field("triangles", level.triangle_count())
+                .field("vertices", level.vertex_count())
+                .field("cell_mm", level.hash->cell_mm)
+                .field("bytes", std::uint64_t{level.bytes()})
+                .field("materials", !level.materials.empty())
+                .field("rebuilt", bundle.rebuilt(stored))
+                .close();
+        }
+        json.close().close();
+    }
+    json.close();
+}
+
 std::string as_json(const Bundle& bundle) {
     JsonWriter json;
     json.open('{');
@@ -60,7 +93,7 @@ std::string as_json(const Bundle& bundle) {
     json.field("signer", std::string_view(signer));
     write_config(json, bundle.config());
     json.key("levels").open('[');
-    for (std::uint32_t i = 0; i < bundle.config().level_count; ++i) {
+    for (std::uint32_t i = 0; bundle.parts().empty() && i < bundle.config().level_count; ++i) {
         const LevelView& level = bundle.levels()[i];
         json.open('{')
             .field("triangles", level.triangle_count())
@@ -73,11 +106,33 @@ std::string as_json(const Bundle& bundle) {
             .close();
     }
     json.close();
+    if (!bundle.parts().empty()) write_parts(json, bundle);
     json.field("tool_balls", std::uint64_t{bundle.tool().size()});
     json.field("golden_ticks", std::uint64_t{bundle.golden_record().size()});
     write_sections(json, bundle);
     json.key("manifest").raw(bundle.manifest());
     return json.close().text();
+}
+
+void print_parts(const Bundle& bundle) {
+    const ConfigData& config = bundle.config();
+    std::size_t stored = 0;
+    for (const PartData& part : bundle.parts()) {
+        std::printf("  part %s%s:", part.name, (part.flags & kPartHidden) != 0 ? " (hidden at first)" : "");
+        for (std::uint32_t k = 0; k < part.level_count; ++k, ++stored) {
+            const LevelView& level = bundle.levels()[stored];
+            std::printf("%s %u triangles, %.1f MB%s%s", k == 0 ? "" : ";", level.triangle_count(),
+                        static_cast<double>(level.bytes()) * 1e-6, bundle.rebuilt(stored) ? " (rebuilt here)" : "",
+                        level.materials.empty() ? "" : ", with materials");
+        }
+        std::printf("\n");
+    }
+    for (std::uint32_t i = 0; i < config.level_count && !bundle.parts().empty(); ++i) {
+        std::printf("  level %u: %u triangles of all parts, %u of %zu balls", i, config.triangles[i], config.balls[i],
+                    bundle.tool().size());
+        if (i + 1 < config.level_count) std::printf(", up to %.3g mm/s", config.speeds_mm_s[i]);
+        std::printf("\n");
+    }
 }
 
 void print_text(const Bundle& bundle) {
@@ -88,7 +143,8 @@ void print_text(const Bundle& bundle) {
                 bundle.signer() ? base64(*bundle.signer()).c_str() : "");
     std::printf("  loop %g Hz, budget %g us, stiffness %g N/mm, force at most %g N\n", config.loop_hz, config.budget_us,
                 config.stiffness_n_mm, config.max_force_n);
-    for (std::uint32_t i = 0; i < config.level_count; ++i) {
+    print_parts(bundle);
+    for (std::uint32_t i = 0; i < config.level_count && bundle.parts().empty(); ++i) {
         const LevelView& level = bundle.levels()[i];
         std::printf("  level %u: %u triangles, cell %.3g mm, %u of %zu balls, %.1f MB%s%s", i, level.triangle_count(),
                     level.hash->cell_mm, config.balls[i], bundle.tool().size(),

@@ -128,7 +128,7 @@ int command_qualify(Words words) {
         return refuse({bundle.path(), "has no golden record to compare with", "tune it again with this version"});
     }
     Renderer renderer;
-    if (std::string reason = renderer.load(bundle.config(), bundle.levels(), bundle.tool()); !reason.empty()) {
+    if (std::string reason = bundle.prepare(renderer, bundle.config()); !reason.empty()) {
         return refuse({bundle.path(), reason, "write the bundle again"});
     }
     const int asked = static_cast<int>(cpu.value());

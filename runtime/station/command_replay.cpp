@@ -32,7 +32,7 @@ int command_replay(Words words) {
         std::fprintf(stderr, "%s: resampled to the bundle's %g Hz\n", motion_path.c_str(), config.loop_hz);
     }
     Renderer renderer;
-    if (std::string reason = renderer.load(config, bundle.value().levels(), bundle.value().tool()); !reason.empty()) {
+    if (std::string reason = bundle.value().prepare(renderer, config); !reason.empty()) {
         return refuse({bundle.value().path(), reason, "write the bundle again"});
     }
 

@@ -103,7 +103,7 @@ int command_run(Words words) {
         words,
         {{"BUNDLE"},
          {"--device", "--path", "--serial", "--centre-mm", "--seconds", "--motion", "--cpu", "--record", "--flight",
-          "--passivity-damping", "--trusted-keys"},
+          "--passivity-damping", "--trusted-keys", "--control"},
          {"--json", "--virtual-time", "--accept-no-watchdog", "--reconnect", "--accept-unsigned", "--check-all"}});
     if (!parsed) return refuse(parsed.fault());
     const Arguments& arguments = parsed.value();
@@ -136,8 +136,18 @@ int command_run(Words words) {
     const DeviceTraits traits = opened.device->traits();
     const ConfigData config = limited_config(bundle, opened);
     Renderer renderer;
-    if (std::string reason = renderer.load(config, bundle.levels(), bundle.tool()); !reason.empty()) {
+    if (std::string reason = bundle.prepare(renderer, config); !reason.empty()) {
         return refuse({bundle.path(), reason, "write the bundle again"});
+    }
+
+    std::unique_ptr<SceneControl> control;
+    if (const auto pipe = arguments.option("--control")) {
+        auto started = SceneControl::start(*pipe, bundle, renderer, [&arguments](const Bundle& other) {
+            const auto believed = require_trust(other, arguments);
+            return believed ? std::string() : believed.fault().line();
+        });
+        if (!started) return refuse(started.fault());
+        control = std::move(started).value();
     }
 
     MonotonicClock monotonic;
@@ -158,7 +168,8 @@ int command_run(Words words) {
     const auto periods = static_cast<std::uint64_t>(std::llround(seconds.value() * config.loop_hz));
     LoopSettings settings{
         1.0 / config.loop_hz, config.budget_us, seconds.value() > 0.0 ? std::max<std::uint64_t>(1, periods) : 0,
-        config.level_count,   &emergency,       &telemetry.value()};
+        config.level_count,   &emergency,       &telemetry.value(),
+        control.get()};
     const SafetyLimits limits = safety_limits(config, choice.profile, traits, passivity.value());
     const auto tally = std::make_unique<Tally>();
     RealTimeRights rights;

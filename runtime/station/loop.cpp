@@ -70,6 +70,7 @@ LoopOutcome run_loop(Renderer& renderer, Device& device, SafetyCore& safety, Loo
         bool over_budget = false;
         if (reading.link.fresh) {
             pose = safety.accept(reading);
+            if (settings.scene != nullptr) settings.scene->apply(renderer);
             const std::int64_t before_ns = stopwatch.now_ns();
             renderer.tick(pose, reading.time_s, record);
             record.cost_ns = static_cast<float>(stopwatch.now_ns() - before_ns);

@@ -7,6 +7,7 @@
 #include "station/clock.hpp"
 #include "station/device.hpp"
 #include "station/safety.hpp"
+#include "station/scene_control.hpp"
 #include "station/tally.hpp"
 #include "station/telemetry.hpp"
 
@@ -19,6 +20,7 @@ struct LoopSettings {
     std::uint32_t level_count;
     const std::atomic<bool>* emergency = nullptr;  // set by the operator's stop
     TelemetryRing* telemetry = nullptr;            // told every tick
+    SceneControl* scene = nullptr;                 // asked before every tick which parts there are
 };
 
 struct LoopOutcome {

@@ -25,6 +25,7 @@ constexpr const char* kHelp =
     "        --centre-mm X,Y,Z      point of the scan that the device's origin stands for; default: the scan's centre\n"
     "        --accept-no-watchdog   run a device whose motors keep their force when this program dies\n"
     "        --reconnect            after it went away: wait for it, and arm it again on Enter\n"
+    "      --control PIPE           hide, show and swap parts of a scene while running: see docs/scenes.md\n"
     "      --passivity-damping B    let the passivity controller add up to B N s/mm; else it only observes\n"
     "      --record FILE.mcap       record every tick;  --flight FOLDER  where the last 10 s go after a fault\n"
     "      Bundles must be signed by a key of /etc/hapticlod/trusted_keys or ~/.config/hapticlod/trusted_keys.\n"

@@ -54,6 +54,9 @@ def inspect_command(bundle: Path, /) -> None:
         golden = held.golden_motion
         record = "with its record" if held.golden_record is not None else "no record"
         line("golden", f"{golden.name}, {len(golden.time_s)} ticks, {record}")
+    for part in held.parts:
+        counts = ", ".join(f"{triangles}" for triangles in part.triangles)
+        line("part", f"{part.name}{' (hidden at first)' if part.hidden else ''}: {counts} triangles")
     out.print(_levels(held))
     measured = held.manifest.get("measured")
     if isinstance(measured, dict):
@@ -68,7 +71,15 @@ def _levels(held: Any) -> Table:
     table = Table(box=box.SIMPLE_HEAD)
     for heading in ("level", "triangles", "cell mm", "balls", "MB", "up to mm/s"):
         table.add_column(heading, justify="right")
-    speeds = [f"{speed:.1f}" for speed in held.config["speeds_mm_s"][: len(held.levels) - 1]]
+    count = int(held.config["level_count"])
+    speeds = [f"{speed:.1f}" for speed in held.config["speeds_mm_s"][: count - 1]]
+    if held.parts:  # what the scene shows of all parts at each of its levels
+        for number, speed in enumerate([*speeds, "any"]):
+            shown = [held.levels[p.first_level + min(number, p.level_count - 1)] for p in held.parts]
+            triangles, size = sum(level.triangles for level in shown), sum(level.bytes for level in shown)
+            balls = int(held.config["balls"][number])
+            table.add_row(f"{number}", f"{triangles}", "", f"{balls}", f"{size / 1e6:.1f}", speed)
+        return table
     for number, (level, speed) in enumerate(zip(held.levels, [*speeds, "any"], strict=True)):
         balls = int(held.config["balls"][number])
         table.add_row(

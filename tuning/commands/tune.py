@@ -49,7 +49,7 @@ def tune_command(
     Parameters
     ----------
     scan
-        Triangle mesh: STL, PLY, OBJ, OFF, GLB or 3MF.
+        Triangle mesh: STL, PLY, OBJ, OFF, GLB or 3MF; or a scene of several (TOML, docs/scenes.md).
     output
         The bundle to write (.hlod).
     unit
@@ -105,9 +105,11 @@ def tune_command(
     with StageProgress(notes) as progress:
         progress("load and clean the scan", 0.0)
         from hapticlod.material import material_lines
+        from hapticlod.scene_file import load_scene
         from tuning.kept_scan import load_kept_scan
 
-        cleaned = load_kept_scan(scan, unit, strict=strict)
+        load = load_scene if scan.suffix.lower() == ".toml" else load_kept_scan
+        cleaned = load(scan, unit, strict=strict)
         if made_of is not None:
             cleaned = made_of.applied(cleaned)
         for line in [*cleaned.report.lines(), *material_lines(cleaned, target.stiffness_n_mm)]:
