@@ -166,8 +166,7 @@ bool ContactSolver::find_sole_plane(std::span<const SolverBall> balls, const Vec
     std::uint32_t around = 0;
     for (std::uint32_t i = 0; i < count; ++i) {
         chosen[around] = static_cast<std::uint16_t>(i);
-        around += static_cast<std::uint32_t>(low[i] <= static_cast<float>(radius)) &
-                  static_cast<std::uint32_t>(high[i] > margin);
+        around += std::uint32_t{low[i] <= static_cast<float>(radius)} & std::uint32_t{high[i] > margin};
     }
     for (std::uint32_t k = 0; k < around; ++k) candidates_.fetch(chosen[k]);
     for (std::uint32_t k = 0; k < around; ++k) {
