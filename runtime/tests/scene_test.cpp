@@ -141,7 +141,7 @@ Compared compare(const std::vector<BallData>& tool, std::uint32_t level_count, s
 }
 
 #ifdef HAPTICLOD_SANITIZED
-constexpr std::size_t kTicks = 2'000;
+constexpr std::size_t kTicks = 10'000;
 #else
 constexpr std::size_t kTicks = 20'000;
 #endif
