@@ -49,10 +49,11 @@ station-static: setup  ## one hapticlod-station without run-time dependencies: m
 product: configure  ## the station and the Python module alone
 	@cmake --build $(RELEASE) --target hapticlod-station _runtime _runtime_stub
 
-# Fetching packages and checking types keep one core busy: the sanitized build has the other meanwhile.
+# Fetching packages and checking types keep one core busy: the sanitized build and the C++ tests have the other meanwhile.
 test: tools  ## everything CI runs
-	@$(MAKE) --no-print-directory --output-sync=target -j 2 lint test-sanitized-build
-	@$(MAKE) --no-print-directory test-cpp test-sanitized test-python
+	@$(MAKE) --no-print-directory --output-sync=target -j 2 build test-sanitized-build
+	@$(MAKE) --no-print-directory --output-sync=target -j 2 lint test-sanitized
+	@$(MAKE) --no-print-directory test-cpp test-python
 
 test-cpp: build  ## C++ tests, release build
 	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error -j 2
@@ -60,7 +61,7 @@ test-cpp: build  ## C++ tests, release build
 test-sanitized-build: tools
 	@mkdir -p build
 	@cmake -S . -B $(SANITIZED) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
-	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) \
+	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) -DCMAKE_UNITY_BUILD=ON -DCMAKE_UNITY_BUILD_BATCH_SIZE=12 \
 	    -DHAPTICLOD_SANITIZE=address,undefined >$(SANITIZED).log 2>&1 || { cat $(SANITIZED).log; exit 1; }
 	@cmake --build $(SANITIZED)
 
