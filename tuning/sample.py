@@ -91,6 +91,7 @@ def sample_ladder(
     motions: Sequence[Motion],
     clock: Clock,
     felt_clock: Clock,
+    relay_clock: Clock,
     perception: Perception,
     l_mm: float,
     progress: Progress,
@@ -98,7 +99,9 @@ def sample_ladder(
     """Replays everything. Motions are at the clock's rate and at least as long.
 
     A tick that decides the cost's tail is rare: time goes into ticks, each replayed once and priced by its counters.
-    `felt_clock`, the first part of each motion, is enough for the feel and for switches.
+    The feel is read from all ticks too: a motion has few contacts, and a part of it is another hand. What is dear is to
+    ask what a switch would do there, so `felt_clock` may have fewer instants. What the loop pays for a switch is read
+    from the first part of each motion, `relay_clock`.
 
     Raises:
         InputError: the motions never touch.
@@ -107,9 +110,10 @@ def sample_ladder(
     rungs, subsets = grid.shape
     whole = [clock.cut(motion, i) for i, motion in enumerate(motions)]
     cut = [felt_clock.cut(motion, i) for i, motion in enumerate(motions)]
+    part = [relay_clock.cut(motion, i) for i, motion in enumerate(motions)]
 
     def felt(rows: Sequence[NDArray]) -> list[NDArray]:
-        return [part[:ticks] for part, ticks in zip(rows, felt_clock.motion_ticks, strict=True)]
+        return [its[:ticks] for its, ticks in zip(rows, felt_clock.motion_ticks, strict=True)]
 
     with ThreadPoolExecutor(threads()) as pool:
         levels = list(pool.map(bench.level, range(rungs)))
@@ -145,17 +149,17 @@ def sample_ladder(
     kinds = ((reach_mm[0], False), (reach_mm[1], False), (reach_mm[1], True))
     relays = [
         relay_ladder(
-            bench, levels, cut, felt_clock, reach, threads(),
+            bench, levels, part, relay_clock, reach, threads(),
             lambda done, i=i: progress("switch between levels", 0.5 + (i + done) / (2 * len(kinds))), leaping,
         )
         for i, (reach, leaping) in enumerate(kinds)
     ]  # fmt: skip
     entered = [(r, rows) for entries, _ in relays for (r, _), rows in entries.items() if len(rows)]
     chosen = tuple(cell_rungs(grid))
-    swept, cell_bytes = _sweep_cells(bench, levels, chosen, cut, progress)
+    swept, cell_bytes = _sweep_cells(bench, levels, chosen, part, progress)
 
     # Prices of cells and triangles show where cell sizes differ, those of mappings where levels are entered.
-    timed = _timed(bench, levels, cut)
+    timed = _timed(bench, levels, part)
     once = [(rows, int(level_bytes[r])) for (r, _), rows in kept.items()]
     once += [(rows, int(cell_bytes[s, h])) for (s, _, h), rows in swept.items()]
     entering = [(_counters_only(rows), int(level_bytes[r])) for r, rows in entered]
