@@ -87,7 +87,9 @@ def run_course(station: Station, tools: Sequence[Tool], held_out: Tool, seed: in
             level_bytes.append(surface.level.bytes)
             level_balls.append(tool.balls)
     kept = [place for place in zip(records, level_bytes, level_balls, strict=True) if len(place[0])]
-    cost = calibrate([rows for rows, _, _ in kept], [size for _, size, _ in kept], [count for _, _, count in kept], seed)
+    cost = calibrate(
+        [rows for rows, _, _ in kept], [size for _, size, _ in kept], [count for _, _, count in kept], seed
+    )
 
     progress("check the coefficients", 0.0)
     target = surfaces[HELD_OUT_SIZE]
