@@ -6,6 +6,8 @@ PYTHON ?= python3
 export PYTHON
 
 BIN := .venv/bin
+# ninja cannot take part in make's own sharing of jobs, and says so at length.
+BUILD := MAKEFLAGS= cmake --build
 RELEASE := build/release
 SANITIZED := build/sanitized
 # The sanitized build is also the second compiler's: clang where there is one.
@@ -34,7 +36,7 @@ configure: setup
 	@ln -sf ../../$(RELEASE)/hapticlod-station $(BIN)/hapticlod-station
 
 build: configure  ## the station, the Python module, tests and benchmarks
-	@cmake --build $(RELEASE)
+	@$(BUILD) $(RELEASE)
 
 CROSS ?=
 STATIC := build/static$(addprefix -,$(CROSS))
@@ -43,16 +45,17 @@ station-static: setup  ## one hapticlod-station without run-time dependencies: m
 	@cmake -S . -B $(STATIC) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=Release -DHAPTICLOD_PYTHON=OFF -DHAPTICLOD_TESTS=OFF \
 	    -DHAPTICLOD_STATIC=ON $(if $(CROSS),-DCMAKE_TOOLCHAIN_FILE=$(CURDIR)/runtime/cross.cmake -DHAPTICLOD_CROSS=$(CROSS)) \
 	    >$(STATIC).log 2>&1 || { cat $(STATIC).log; exit 1; }
-	@cmake --build $(STATIC) --target hapticlod-station
+	@$(BUILD) $(STATIC) --target hapticlod-station
 	@stat -c '%n: %s bytes' $(STATIC)/hapticlod-station
 
 product: configure  ## the station and the Python module alone
-	@cmake --build $(RELEASE) --target hapticlod-station _runtime _runtime_stub
+	@$(BUILD) $(RELEASE) --target hapticlod-station _runtime _runtime_stub
 
-# Fetching packages and checking types keep one core busy: the sanitized build has the other meanwhile.
+# Fetching packages and checking types keep one core busy: the sanitized build and the C++ tests have the other meanwhile.
 test: tools  ## everything CI runs
-	@$(MAKE) --no-print-directory --output-sync=target -j 2 lint test-sanitized-build
-	@$(MAKE) --no-print-directory test-cpp test-sanitized test-python
+	@$(MAKE) --no-print-directory --output-sync=target -j 2 build test-sanitized-build
+	@$(MAKE) --no-print-directory --output-sync=target -j 2 lint test-sanitized
+	@$(MAKE) --no-print-directory test-cpp test-python
 
 test-cpp: build  ## C++ tests, release build
 	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error -j 2
@@ -60,9 +63,9 @@ test-cpp: build  ## C++ tests, release build
 test-sanitized-build: tools
 	@mkdir -p build
 	@cmake -S . -B $(SANITIZED) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
-	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) \
+	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) -DCMAKE_UNITY_BUILD=ON -DCMAKE_UNITY_BUILD_BATCH_SIZE=12 \
 	    -DHAPTICLOD_SANITIZE=address,undefined >$(SANITIZED).log 2>&1 || { cat $(SANITIZED).log; exit 1; }
-	@cmake --build $(SANITIZED)
+	@$(BUILD) $(SANITIZED)
 
 test-sanitized: test-sanitized-build  ## C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer, short fuzzing
 	@ctest --test-dir $(SANITIZED) --output-on-failure --no-tests=error -j 2
@@ -72,7 +75,7 @@ test-threads: setup  ## loop, writer, telemetry under ThreadSanitizer
 	@mkdir -p build
 	@cmake -S . -B build/threads $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
 	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) -DHAPTICLOD_SANITIZE=thread >build/threads.log 2>&1 || { cat build/threads.log; exit 1; }
-	@cmake --build build/threads --target $(THREADED)
+	@$(BUILD) build/threads --target $(THREADED)
 	@for test in $(THREADED); do build/threads/tests/$$test --gtest_brief=1 || exit 1; done
 
 test-hidraw-vm: build  ## the station against a real kernel's hidraw in QEMU; skipped with one line where it cannot be had
