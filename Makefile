@@ -6,6 +6,8 @@ PYTHON ?= python3
 export PYTHON
 
 BIN := .venv/bin
+# ninja cannot take part in make's own sharing of jobs, and says so at length.
+BUILD := MAKEFLAGS= cmake --build
 RELEASE := build/release
 SANITIZED := build/sanitized
 # The sanitized build is also the second compiler's: clang where there is one.
@@ -16,7 +18,7 @@ PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
 .PHONY: help setup tools configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-usb-vm test-circle \
     test-python lint format demo bench bench-quick bench-station bench-open soak fuzz station-static \
-    evaluate-surrogate bench-tuners optimiser-cases scans-table soak-scans mutate-scans clean
+    evaluate-surrogate bench-tuners optimiser-cases scans-table soak-scans mutate-scans full-mouth clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -34,7 +36,7 @@ configure: setup
 	@ln -sf ../../$(RELEASE)/hapticlod-station $(BIN)/hapticlod-station
 
 build: configure  ## the station, the Python module, tests and benchmarks
-	@cmake --build $(RELEASE)
+	@$(BUILD) $(RELEASE)
 
 CROSS ?=
 STATIC := build/static$(addprefix -,$(CROSS))
@@ -43,16 +45,17 @@ station-static: setup  ## one hapticlod-station without run-time dependencies: m
 	@cmake -S . -B $(STATIC) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=Release -DHAPTICLOD_PYTHON=OFF -DHAPTICLOD_TESTS=OFF \
 	    -DHAPTICLOD_STATIC=ON $(if $(CROSS),-DCMAKE_TOOLCHAIN_FILE=$(CURDIR)/runtime/cross.cmake -DHAPTICLOD_CROSS=$(CROSS)) \
 	    >$(STATIC).log 2>&1 || { cat $(STATIC).log; exit 1; }
-	@cmake --build $(STATIC) --target hapticlod-station
+	@$(BUILD) $(STATIC) --target hapticlod-station
 	@stat -c '%n: %s bytes' $(STATIC)/hapticlod-station
 
 product: configure  ## the station and the Python module alone
-	@cmake --build $(RELEASE) --target hapticlod-station _runtime _runtime_stub
+	@$(BUILD) $(RELEASE) --target hapticlod-station _runtime _runtime_stub
 
-# Fetching packages and checking types keep one core busy: the sanitized build has the other meanwhile.
+# Fetching packages and checking types keep one core busy: the sanitized build and the C++ tests have the other meanwhile.
 test: tools  ## everything CI runs
-	@$(MAKE) --no-print-directory --output-sync=target -j 2 lint test-sanitized-build
-	@$(MAKE) --no-print-directory test-cpp test-sanitized test-python
+	@$(MAKE) --no-print-directory --output-sync=target -j 2 build test-sanitized-build
+	@$(MAKE) --no-print-directory --output-sync=target -j 2 lint test-sanitized
+	@$(MAKE) --no-print-directory test-cpp test-python
 
 test-cpp: build  ## C++ tests, release build
 	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error -j 2
@@ -60,9 +63,9 @@ test-cpp: build  ## C++ tests, release build
 test-sanitized-build: tools
 	@mkdir -p build
 	@cmake -S . -B $(SANITIZED) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
-	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) \
+	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) -DCMAKE_UNITY_BUILD=ON -DCMAKE_UNITY_BUILD_BATCH_SIZE=12 \
 	    -DHAPTICLOD_SANITIZE=address,undefined >$(SANITIZED).log 2>&1 || { cat $(SANITIZED).log; exit 1; }
-	@cmake --build $(SANITIZED)
+	@$(BUILD) $(SANITIZED)
 
 test-sanitized: test-sanitized-build  ## C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer, short fuzzing
 	@ctest --test-dir $(SANITIZED) --output-on-failure --no-tests=error -j 2
@@ -72,7 +75,7 @@ test-threads: setup  ## loop, writer, telemetry under ThreadSanitizer
 	@mkdir -p build
 	@cmake -S . -B build/threads $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
 	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) -DHAPTICLOD_SANITIZE=thread >build/threads.log 2>&1 || { cat build/threads.log; exit 1; }
-	@cmake --build build/threads --target $(THREADED)
+	@$(BUILD) build/threads --target $(THREADED)
 	@for test in $(THREADED); do build/threads/tests/$$test --gtest_brief=1 || exit 1; done
 
 test-hidraw-vm: build  ## the station against a real kernel's hidraw in QEMU; skipped with one line where it cannot be had
@@ -116,7 +119,7 @@ TICKS ?= 100000000
 RUNS ?= 1e7
 fuzz: test-sanitized-build  ## 10^7 mutated bundles, motions and key files under sanitizers: hours; make fuzz RUNS=1e6
 	@command -v clang++ >/dev/null || { echo "make fuzz needs libFuzzer: apt-get install clang"; exit 1; }
-	@for target in bundle motion trusted_keys; do \
+	@for target in bundle device_profile motion trusted_keys; do \
 	    mkdir -p build/fuzz/$$target; \
 	    $(SANITIZED)/fuzz/$${target}_fuzz -runs=$$(printf %.0f $(RUNS)) -timeout=60 -max_len=16384 -print_final_stats=1 \
 	        -artifact_prefix=build/fuzz/$$target- build/fuzz/$$target runtime/fuzz/corpus/$$target || exit 1; \
@@ -132,6 +135,9 @@ scans-table: product  ## every file of DATA/dirty and DATA/meshes checked and tu
 soak-scans: TICKS := $(if $(filter command line,$(origin TICKS)),$(TICKS),1e6)
 soak-scans: product  ## random hands on every scan of DATA, judged by geometry of its own: TICKS=1e6 each [ONLY="part part"] [SEED=0]
 	@$(BIN)/python -m benchmarks.soak_scans --data "$(DATA)" --ticks $(TICKS) $(if $(ONLY),--only $(ONLY)) $(if $(SEED),--seed $(SEED))
+
+full-mouth: product  ## the paper's head with mouth, 5.3 M triangles in 7 parts: bundled and run [TUNE=1-3] [SHARE=1.0] [FOLDER=kept] [JSON=out.json]
+	@$(BIN)/python -m benchmarks.full_mouth $(if $(TUNE),--tune "$(TUNE)") $(if $(SHARE),--share "$(SHARE)") $(if $(FOLDER),--folder "$(FOLDER)") $(if $(JSON),--json "$(JSON)")
 
 CASES ?= 2000
 mutate-scans: product  ## CASES=2000 crops of scans with random faults: loaded, simplified and touched as the report says?

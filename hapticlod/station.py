@@ -28,6 +28,8 @@ class CostCoefficients(TomlModel):
     iteration_ns: float = Field(ge=0)
     ball_ns: float = Field(ge=0)
     mapping_cell_ns: float = Field(ge=0)
+    carried_ball_ns: float = Field(default=0.0, ge=0, description="every tick, for each ball of the level but one")
+    union_test_ns: float = Field(default=0.0, ge=0, description="on top of test_ns where the level has many balls")
     cache_mb: float = Field(default=32.0, gt=0, description="level size at which half of cache_gain is paid")
     cache_gain: float = Field(default=0.0, ge=0)
     tail_p99: float = Field(default=1.0, ge=1, description="measured over predicted cost, 99th percentile of ticks")
@@ -44,18 +46,21 @@ class CostCoefficients(TomlModel):
         balls: Any = 0,
         mapping_cells: Any = 0,
         level_bytes: Any = 0,
+        level_balls: Any = 1,
     ) -> Any:
         """Predicted cost of ticks, ns, without their tail and without a station's slowdown.
 
-        Arguments are the counters of a record (numbers, numpy or jax arrays of one shape) and the bytes of the level
-        each tick used. Plain arithmetic, so that it can be differentiated. `mapping_cells` are part of `cells`;
-        `mapping_cell_ns` is what a mapping's cell costs on top.
+        Arguments are the counters of a record (numbers, numpy or jax arrays of one shape), and the bytes of the level
+        each tick used and how many of the tool's balls it has. Plain arithmetic, so that it can be differentiated.
+        `mapping_cells` are part of `cells`; `mapping_cell_ns` is what a mapping's cell costs on top. Balls are turned
+        with the tool in every tick, looked at or not; and what is tested next is seldom the ball of the test before.
         """
         level_mb = level_bytes / 1e6
         cache_factor = 1.0 + self.cache_gain * level_mb / (level_mb + self.cache_mb)
         work = cells * self.cell_ns + triangles * self.triangle_ns + tests * self.test_ns + balls * self.ball_ns
         work = work + iterations * self.iteration_ns + mapping_cells * self.mapping_cell_ns
-        return self.base_ns + work * cache_factor
+        work = work + tests * (1.0 - 1.0 / level_balls) * self.union_test_ns
+        return self.base_ns + (level_balls - 1) * self.carried_ball_ns + work * cache_factor
 
 
 class Machine(TomlModel):

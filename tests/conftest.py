@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +20,17 @@ os.environ.setdefault("JAX_ENABLE_X64", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # What these tests cost is compiling. Programs that run for milliseconds are translated quickly rather than well.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
+
+# One cache for all processes of a run, and none of the user's: what one test has compiled, another reads.
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    _CACHE = tempfile.mkdtemp(prefix="hapticlod-tests-")
+    os.environ["HAPTICLOD_CACHE"] = _CACHE
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = f"{_CACHE}/compiled"
+
+    def pytest_unconfigure() -> None:
+        """Remove the cache."""
+        shutil.rmtree(_CACHE, ignore_errors=True)
+
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

@@ -1,11 +1,13 @@
 """The command line: what users type, what they read, and what a fault looks like to them."""
 
+import io
 import json
 import os
 import signal
 import struct
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from types import SimpleNamespace
 from typing import ClassVar
@@ -175,11 +177,22 @@ class TestOtherFiles:
 
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """A folder in which `hapticlod tune` was typed, and what it printed. Its motions are short; the cache is empty."""
+    from tuning import prepare
+
     folder = tmp_path_factory.mktemp("tuned")
     write_stl(folder / "jaw.stl", make_dentition(triangles=10_000, seed=0))
     words = ["tune", "jaw.stl", "-o", "jaw.hlod", "--json", "jaw.json", "--levels", "1-2", "--budget-us", "500"]
-    done = command(folder, words).communicate(timeout=300)
-    return SimpleNamespace(folder=folder, out=done[0], notes=done[1])
+    out, notes = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (("COLUMNS", "80"), ("HAPTICLOD_CACHE", str(folder / "cache"))):
+            patch.setenv(name, value)
+        for name in ("SEEN_S", "APART_S", "SWITCH_S"):
+            patch.setattr(prepare, name, (2.5,))
+        patch.chdir(folder)
+        with redirect_stdout(out), redirect_stderr(notes):
+            assert tuning.cli.run(words) == 0, notes.getvalue()
+    return SimpleNamespace(folder=folder, out=out.getvalue(), notes=notes.getvalue())
 
 
 class TestTuning:
@@ -258,11 +271,8 @@ class TestTuning:
 
 
 def command(folder: Path, words: list[str]) -> subprocess.Popen[str]:
-    """`hapticlod` in a folder, 80 columns wide, with a cache of its own: nothing comes from runs before.
-
-    It compiles as it does for users, not as tests do.
-    """
-    environment = {**os.environ, "COLUMNS": "80", "HAPTICLOD_CACHE": str(folder / "cache"), "XLA_FLAGS": ""}
+    """`hapticlod` in a folder, with a cache of its own: nothing comes from runs before."""
+    environment = {**os.environ, "HAPTICLOD_CACHE": str(folder / "cache")}
     # A shell's background job ignores Ctrl-C, and so would what the tests start in one: what is ignored is inherited.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

@@ -244,6 +244,51 @@ def test_a_package_installs_without_a_network(package: Path, tmp_path: Path) -> 
     assert install(package, "--root", root, "--colour", "red").stderr.startswith("FAULT --colour: is no option")
 
 
+def test_a_stick_brings_its_key_along(
+    bundles: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`pack --trust`, and the command that the stick's README tells."""
+    monkeypatch.setenv("HAPTICLOD_CONFIG", str(tmp_path / "config"))
+    assert tuning.cli.run(["key", "new", "--name", "me"]) == 0
+    bundle, tar, program = tmp_path / "mine.hlod", tmp_path / "station.tar", stand_in(tmp_path)
+    bundle.write_bytes(bundles[0].read_bytes())
+    assert tuning.cli.run(["key", "sign", str(bundle)]) == 0
+    assert tuning.cli.run(["pack", str(bundle), "-o", str(tar), "--station", str(program), "--trust"]) == 0
+    said = capsys.readouterr().out
+    monkeypatch.delenv("HAPTICLOD_CONFIG")  # the station's user knows nobody
+    (tmp_path / "stick").mkdir()
+    with tarfile.open(tar) as files:
+        files.extractall(tmp_path / "stick", filter="data")
+    (folder,) = (tmp_path / "stick").iterdir()
+    (command,) = [line.split("&& ")[1] for line in (folder / "README").read_text().splitlines() if "tar xf" in line]
+    assert command.split()[-2:] == ["--trust", f"{folder.name}/trust.pub"] and command in said
+    root = tmp_path / "root"
+    trusted = root / "trusted_keys"
+    trusted.parent.mkdir()
+    trusted.write_text(TEST_KEY.public_line + "\n")
+
+    def typed() -> subprocess.CompletedProcess[str]:
+        words = [*command.split(), "--root", str(root)]
+        return subprocess.run(words, cwd=folder.parent, capture_output=True, text=True, check=False)
+
+    refusal = install(folder, "--root", root)  # without the word the key on the stick counts for nothing
+    assert refusal.returncode == 1 and "not trusted here" in refusal.stderr
+    assert trusted.read_text() == TEST_KEY.public_line + "\n"
+    done = typed()
+    assert done.returncode == 0, done.stderr
+    assert "signed by me, trusted" in done.stdout
+    assert trusted.read_text() == TEST_KEY.public_line + "\n" + (folder / "trust.pub").read_text()
+    assert trusted.stat().st_mode & 0o777 == 0o644
+    assert "was current already" in typed().stdout
+    assert len(trusted.read_text().splitlines()) == 2  # not once more
+
+    before = trusted.read_text()
+    (folder / "trust.pub").write_text(new_key("mallory").public_line + "\n")
+    altered = typed()
+    assert altered.returncode == 1 and "was altered or damaged (trust.pub" in altered.stderr
+    assert trusted.read_text() == before
+
+
 def test_altered_packages_are_refused(package: Path, tmp_path: Path) -> None:
     root = tmp_path / "root"
     root.mkdir()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hapticlod.motion import Motion
-from tuning.assemble import _felt_bins
+from tuning.assemble import felt_bins
 from tuning.calibrate import NO_CURVE, price_curve
 from tuning.grid import make_clock
 
@@ -36,11 +36,22 @@ def test_a_busy_machine_is_not_priced_in() -> None:
     assert np.allclose(price_curve(time, counted).factor(np.array([1.5e6, 3e6])), 1.2, rtol=0.06)
 
 
-def test_the_feel_is_shown_by_the_first_part_of_every_motion() -> None:
+def test_bins_of_a_part_lie_at_the_beginning_of_every_motion() -> None:
     motions = [Motion(np.arange(n) * 1e-3, np.zeros((n, 3)), None, 1000.0, "still", {}) for n in (700, 100, 1000)]
     whole, part = make_clock(motions), make_clock(motions, 0.3)
     assert whole.motion_ticks == (672, 96, 992) and part.motion_ticks == (288, 96, 288)
-    bins = _felt_bins(whole, part)
+    bins = felt_bins(whole, part)
     assert len(bins) == part.bins
     assert np.array_equal(bins, [*range(36), *range(84, 96), *range(96, 132)])
-    assert np.array_equal(_felt_bins(whole, whole), np.arange(whole.bins))
+    assert np.array_equal(felt_bins(whole, whole), np.arange(whole.bins))
+
+
+def test_instants_are_thinned_but_cover_all_of_every_motion() -> None:
+    motions = [Motion(np.arange(n) * 1e-3, np.zeros((n, 3)), None, 1000.0, "still", {}) for n in (700, 1000)]
+    whole, thin = make_clock(motions), make_clock(motions, thinning=3)
+    assert thin.ticks_per_instant == 3 * whole.ticks_per_instant == 96
+    assert all(0 <= a - b < 96 for a, b in zip(whole.motion_ticks, thin.motion_ticks, strict=True))
+    assert all(ticks % 96 == 0 for ticks in thin.motion_ticks)
+    bins = felt_bins(whole, thin)
+    assert np.array_equal(bins, [*range(84), *range(84, 84 + 120)])
+    assert thin.marks(96).sum() == 2

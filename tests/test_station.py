@@ -78,6 +78,10 @@ def test_cost_is_counters_times_coefficients() -> None:
     }
     assert COST.tick_cost_ns(**counters) == 50 + 2 + 30 + 500 + 7000 + 110_000 + 1_300_000
     assert COST.tick_cost_ns() == 50
+    # Of four balls three are turned besides the first, and three tests of four belong to another ball than the last.
+    union = COST.model_copy(update={"carried_ball_ns": 7.0, "union_test_ns": 4.0})
+    assert union.tick_cost_ns(tests=100, level_balls=4) == 50 + 3 * 7 + 100 * (5 + 3)
+    assert union.tick_cost_ns(**counters) == COST.tick_cost_ns(**counters)
     half_paid = COST.model_copy(update={"cache_mb": 8.0, "cache_gain": 1.0})
     assert half_paid.tick_cost_ns(cells=1, level_bytes=8e6) == pytest.approx(50 + 2 * 1.5)
     assert half_paid.tick_cost_ns(cells=1, level_bytes=8e12) == pytest.approx(50 + 2 * 2, rel=1e-5)

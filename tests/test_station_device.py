@@ -72,7 +72,7 @@ def test_forces_reach_the_device_and_everything_is_recorded(
     device.position_mm = (0.3, 0.0, 1.0)
     process = started(tmp_path, bundle, "--record", tmp_path / "run.mcap")
     pressed(device)
-    status = run_station("status", "--json")
+    status = run_station("status", "--json", "--pid", process.pid)
     process.send_signal(signal.SIGINT)
     code, said, err = ended(process)
     assert code == 0, err

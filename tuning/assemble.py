@@ -37,7 +37,8 @@ class LadderData:
     """Everything that replays gave, in numpy; what is cached between runs.
 
     Attributes:
-        grid, clock: where and when. `felt_clock`: the part of each motion, from its beginning, that shows the feel.
+        grid, clock: where and when. `felt_clock`: of the feel, which is read from all of each motion but what fills no
+            instant; its instants may be further apart.
         fields: by name (R, B, ...), of `tuning.level_fields.level_fields`.
         velocity_mm_s, contact: (T, 3) and (T,) of the hand, and whether the finest level touches.
         cost_ns: (R, B, T) of a tick, on the station, by its counters.
@@ -99,7 +100,7 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
         log_edge_mm=jnp.asarray(np.log(np.array(grid.edge_mm))),
         velocity_mm_s=jnp.asarray(data.velocity_mm_s),
         starts=jnp.asarray(clock.marks(1)),
-        felt_bins=jnp.asarray(_felt_bins(clock, felt)),
+        felt_bins=jnp.asarray(felt_bins(clock, felt)),
         cycle=jnp.asarray(cycle),
         feel=feel,
         traps=traps,
@@ -162,7 +163,7 @@ def _without_traps(data: LadderData) -> tuple[dict[str, Array], Traps]:
     return {**data.fields, **cleared}, traps
 
 
-def _felt_bins(clock: Clock, felt: Clock) -> NDArray[np.intp]:
+def felt_bins(clock: Clock, felt: Clock) -> NDArray[np.intp]:
     """(n,) bins of the feel's part among all: the first of every motion."""
     per = clock.ticks_per_bin
     first = np.array(clock.starts_tick) // per

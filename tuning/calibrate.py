@@ -24,6 +24,7 @@ from tuning.replays import COUNTERS
 Array = NDArray[np.float64]
 
 _ROUNDS = 12
+_IDLE = 2  # the first features: a tick, and the balls that it turns
 _SCALE = 0.5  # relative error beyond which a tick counts little
 _FLOOR_NS = 200.0  # below this a tick's time is mostly the clock's
 _MOST_TICKS = 40_000
@@ -33,40 +34,48 @@ _TOGETHER = 0.3  # how far ln(time / counted) of undisturbed ticks of one size s
 
 
 def calibrate(
-    records: Sequence[NDArray], level_bytes: Sequence[int], seed: int = 0, repeated: int | None = None
+    records: Sequence[NDArray],
+    level_bytes: Sequence[int],
+    level_balls: Sequence[int],
+    seed: int = 0,
+    repeated: int | None = None,
 ) -> CostCoefficients:
     """Coefficients of this machine.
 
     Args:
         records: rows of RECORD_DTYPE of fixed-level replays, timed; the wider the range of counters, the better.
-        level_bytes: of the level of each record.
+        level_bytes: of the level of each record. level_balls: likewise, how many of the tool's balls it has.
         seed: of the ticks that are drawn where there are more than some ten thousands.
         repeated: how many records, from the first, hold the least time of several runs: the tail is read from these,
             since in the others it is mostly the operating system's. None: all.
     """
     counters, cost, size, source = _gather(records, level_bytes, seed)
-    features = np.column_stack([np.ones(len(cost)), counters])
+    balls = np.asarray(level_balls, dtype=np.float64)[source.astype(np.intp)]
+    several = counters[:, COUNTERS.index("tests")] * (1.0 - 1.0 / balls)
+    features = np.column_stack([np.ones(len(cost)), balls - 1.0, counters, several])
     scale = np.maximum(np.abs(features).max(axis=0), 1.0)
     weight = 1.0 / np.maximum(cost, _FLOOR_NS)
     coefficients = np.zeros(features.shape[1])
     factor = np.ones(len(cost))
     gain = 0.0
     for _ in range(_ROUNDS):
-        # the base does not depend on the level's size, everything counted does
-        design = np.column_stack([features[:, :1], features[:, 1:] * factor[:, None]])
+        # what a tick costs that touches nothing does not depend on the level's size, everything counted does
+        design = np.column_stack([features[:, :_IDLE], features[:, _IDLE:] * factor[:, None]])
         solution, _ = nnls((design / scale) * weight[:, None], cost * weight)
         coefficients = solution / scale
         fitted = np.maximum(design @ coefficients, 1.0)
         error = (cost - fitted) / np.maximum(fitted, _FLOOR_NS)
         weight = 1.0 / (np.maximum(fitted, _FLOOR_NS) * (1.0 + (error / _SCALE) ** 2))
-        gain = _cache_gain(features[:, 1:] @ coefficients[1:], cost - coefficients[0], size, weight)
+        idle = features[:, :_IDLE] @ coefficients[:_IDLE]
+        gain = _cache_gain(features[:, _IDLE:] @ coefficients[_IDLE:], cost - idle, size, weight)
         factor = 1.0 + gain * size / (size + _CACHE_MB)
-    fitted = np.column_stack([features[:, :1], features[:, 1:] * factor[:, None]]) @ coefficients
+    fitted = np.column_stack([features[:, :_IDLE], features[:, _IDLE:] * factor[:, None]]) @ coefficients
     clean = source < (len(records) if repeated is None else repeated)
     fitted, cost = fitted[clean], cost[clean]
     dear = fitted >= np.quantile(fitted, 0.9)  # the tail of cheap ticks threatens no budget
     ratio = cost[dear] / np.maximum(fitted[dear], 1.0)
-    values = dict(zip(("base_ns", *(f"{name[:-1]}_ns" for name in COUNTERS)), map(float, coefficients), strict=True))
+    names = ("base_ns", "carried_ball_ns", *(f"{name[:-1]}_ns" for name in COUNTERS), "union_test_ns")
+    values = dict(zip(names, map(float, coefficients), strict=True))
     return CostCoefficients(
         **values,
         cache_mb=_CACHE_MB,
@@ -118,10 +127,12 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def counted_cost_ns(rows: NDArray, level_bytes: int | Array, coefficients: CostCoefficients) -> Array:
-    """(T,) cost of ticks by their counters alone."""
+def counted_cost_ns(
+    rows: NDArray, level_bytes: int | Array, coefficients: CostCoefficients, level_balls: int | Array = 1
+) -> Array:
+    """(T,) cost of ticks by their counters alone, on levels of so many bytes and balls."""
     counters = {name: rows[name].astype(np.float64) for name in COUNTERS}
-    return np.asarray(coefficients.tick_cost_ns(**counters, level_bytes=level_bytes))
+    return np.asarray(coefficients.tick_cost_ns(**counters, level_bytes=level_bytes, level_balls=level_balls))
 
 
 @dataclass(frozen=True)

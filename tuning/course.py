@@ -71,26 +71,31 @@ def run_course(station: Station, tools: Sequence[Tool], held_out: Tool, seed: in
     middle = surfaces[SIZES[1]].scan  # motions are laid on it: all surfaces are one, more or less finely
     records: list[NDArray] = []
     level_bytes: list[int] = []
+    level_balls: list[int] = []
     for i, tool in enumerate(tools):
         motions = _motions(middle, station, tool, seed)
         for k, (size, motion) in enumerate(product(SIZES, motions)):
             progress("time the course", (i + k / (len(SIZES) * len(motions))) / len(tools))
             records.append(_replay([surfaces[size]], station, tool, motion))
             level_bytes.append(surfaces[size].level.bytes)
+            level_balls.append(tool.balls)
         # Mapping is counted where levels switch.
         pair = [surfaces[SIZES[1]], surfaces[SIZES[0]]]
         switched = _replay(pair, station, tool, motions[-1])
         for index, surface in enumerate(pair):
             records.append(switched[switched["level"] == index])
             level_bytes.append(surface.level.bytes)
-    kept = [(rows, size) for rows, size in zip(records, level_bytes, strict=True) if len(rows)]
-    cost = calibrate([rows for rows, _ in kept], [size for _, size in kept], seed)
+            level_balls.append(tool.balls)
+    kept = [place for place in zip(records, level_bytes, level_balls, strict=True) if len(place[0])]
+    cost = calibrate(
+        [rows for rows, _, _ in kept], [size for _, size, _ in kept], [count for _, _, count in kept], seed
+    )
 
     progress("check the coefficients", 0.0)
     target = surfaces[HELD_OUT_SIZE]
     unseen = _motions(middle, station, held_out, seed + 1)
     rows = np.concatenate([_replay([target], station, held_out, motion) for motion in unseen])
-    predicted = counted_cost_ns(rows, target.level.bytes, cost)
+    predicted = counted_cost_ns(rows, target.level.bytes, cost, held_out.balls)
     measured = without_interrupts(rows, predicted)
     return Calibration(
         cost=cost,

@@ -113,10 +113,11 @@ class Clock:
         return motion.part(0.0, self.motion_ticks[index] / self.loop_hz)
 
 
-def make_clock(motions: Sequence[Motion], most_s: float = math.inf) -> Clock:
-    """Bins of about 8 ms, at least one tick; of every motion at most so many seconds."""
+def make_clock(motions: Sequence[Motion], most_s: float = math.inf, thinning: int = 1) -> Clock:
+    """Bins of about 8 ms, at least one tick; of every motion at most so many seconds; every so-manieth instant only."""
     loop_hz = motions[0].loop_hz
     per_bin = max(1, round(BIN_S * loop_hz))
-    window = per_bin * BINS_PER_WINDOW
-    ticks = tuple(int(min(motion.ticks, most_s * loop_hz)) // window * window for motion in motions)
-    return Clock(loop_hz=loop_hz, motion_ticks=ticks, ticks_per_bin=per_bin)
+    instant = thinning * BINS_PER_INSTANT
+    whole = per_bin * math.lcm(BINS_PER_WINDOW, instant)
+    ticks = tuple(int(min(motion.ticks, most_s * loop_hz)) // whole * whole for motion in motions)
+    return Clock(loop_hz=loop_hz, motion_ticks=ticks, ticks_per_bin=per_bin, bins_per_instant=instant)

@@ -30,13 +30,16 @@ def check_over(over: str) -> None:
         raise InputError("over", f"{over!r} is none of {', '.join(OVER)}", "give one of them")
 
 
-def over_motions(each: Any, over: str) -> Any:
-    """The mean of (M,) values, or their largest, softened so that it has a gradient."""
+def over_motions(each: Any, worst: Any) -> Any:
+    """The mean of (M,) values, or where `worst` holds their largest, softened so that it has a gradient.
+
+    `worst` may be traced: one compilation serves both.
+    """
     import jax.numpy as jnp
 
     from hapticlod.surrogate.quantile import smooth_max
 
-    return jnp.mean(each) if over == MEAN else smooth_max(each, _SOFT)
+    return jnp.where(worst, smooth_max(each, _SOFT), jnp.mean(each))
 
 
 def measured_each(verifier: Verifier, config: LodConfig) -> list[dict[str, float]]:

@@ -33,10 +33,11 @@ Progress = Callable[[str, float], None]
 # Seconds per mode of the surrogate's motions, and of those kept apart: the most that replays can afford, see _seconds.
 SEEN_S = (24.0, 18.0, 12.0, 8.0, 6.0, 4.0, 2.5)
 APART_S = (24.0, 18.0, 12.0, 8.0, 6.0, 3.0)
-# Of the surrogate's motions, the part that shows the feel and what switches do.
-FELT_S = (12.0, 6.0, 4.0, 2.5)
+# Of the surrogate's motions, as many instants as so many seconds have show what a switch does, spread over all of each;
+# and so many of the first seconds show what the loop pays for it.
+SWITCH_S = (12.0, 6.0, 4.0, 2.5)
 # What they may cost, s.
-SEEN_REPLAY_S, APART_REPLAY_S, FELT_REPLAY_S = 14.0, 5.0, 6.0
+SEEN_REPLAY_S, APART_REPLAY_S, SWITCH_REPLAY_S = 14.0, 5.0, 6.0
 # By what a present core (a virtual Xeon) needs: it decides how long motions are, so it must be the same everywhere.
 _PRICES = CostCoefficients(
     base_ns=255, cell_ns=67, triangle_ns=4.7, test_ns=60, iteration_ns=99, ball_ns=92, mapping_cell_ns=0
@@ -159,17 +160,19 @@ def _sampled(
     told("prepare the motions", 0.0)
     grid = make_grid(ladder.rungs, tool)
     bench = Bench(ladder.rungs, scan.centre_mm, tool, station, grid)
-    felt_s = math.inf
+    switch_s = math.inf
     if motions:
         seen, apart = _halves(scan, station, tool, motions)
     else:
-        seen, apart, felt_s = _made(scan, bench, station, tool, seed)
-    clock, felt_clock = make_clock(seen), make_clock(seen, felt_s)
+        seen, apart, switch_s = _made(scan, bench, station, tool, seed)
+    longest_s = max(motion.seconds for motion in seen)
+    thinning = max(1, math.ceil(longest_s / switch_s - 1e-6))
+    clock, felt_clock, relay_clock = make_clock(seen), make_clock(seen, thinning=thinning), make_clock(seen, switch_s)
     if min(clock.motion_ticks) == 0:
         window_s = clock.ticks_per_bin * clock.bins_per_window / clock.loop_hz
         raise InputError("motions", f"one is shorter than {2 * window_s:.3g} s", "give longer motions")
     offset_mm = max(ladder.rungs[-1].rms_mm, 1e-3 * ladder.rungs[0].mean_edge_mm)
-    data, costing = sample_ladder(bench, seen, clock, felt_clock, perception, _TOUR_MM * offset_mm, told)
+    data, costing = sample_ladder(bench, seen, clock, felt_clock, relay_clock, perception, _TOUR_MM * offset_mm, told)
     return _Sampled(tuple(seen), tuple(apart), data, costing, make_space(grid, data, offset_mm))
 
 
@@ -191,7 +194,7 @@ def _halves(scan: Scan, station: Station, tool: Tool, given: Sequence[Motion]) -
 def _made(
     scan: Scan, bench: Bench, station: Station, tool: Tool, seed: int
 ) -> tuple[list[Motion], list[Motion], float]:
-    """Strokes of all modes, as long as this tool lets replays be; and how much of them shows the feel, s."""
+    """Strokes of all modes, as long as this tool lets replays be; and how much of them shows switches, s."""
 
     def stroke(task: tuple[int, float]) -> Motion:
         number, seconds = task
@@ -218,10 +221,10 @@ def _made(
     legs = -(-rungs * subsets // MOST_RUNTIME_LEVELS)
     seen_s = _seconds(SEEN_S, (made_s + mean_s * rungs * subsets) / threads(), SEEN_REPLAY_S)
     apart_s = _seconds(APART_S, (made_s + spent_s[0]) / threads(), APART_REPLAY_S)
-    felt_s = _seconds(FELT_S, mean_s * legs * _SWITCHED / threads(), FELT_REPLAY_S)
+    switch_s = _seconds(SWITCH_S, mean_s * legs * _SWITCHED / threads(), SWITCH_REPLAY_S)
     with ThreadPoolExecutor(threads()) as pool:
         made = list(pool.map(stroke, strokes(0, seen_s) + strokes(500, apart_s)))
-    return made[: len(MODES)], made[len(MODES) :], felt_s
+    return made[: len(MODES)], made[len(MODES) :], switch_s
 
 
 def _seconds(choices: Sequence[float], cost_per_s: float, most: float) -> float:

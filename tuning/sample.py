@@ -40,6 +40,10 @@ _TIMED_RUNGS, _TIMED_TICKS, _TIMED_REPEATS = 4, 480, 3
 _CELL_TICKS, _SETTLING_TICKS = 480, 32
 
 
+# Rows of one level, and its bytes and balls.
+_Timed = tuple[NDArray, int, int]
+
+
 def threads() -> int:
     """Replays that run at once."""
     return max(1, len(os.sched_getaffinity(0)))
@@ -59,22 +63,30 @@ class Costing:
     curve: PriceCurve = NO_CURVE
     entering: PriceCurve = NO_CURVE
 
-    def counted_ns(self, rows: NDArray, level_bytes: int | Array, enters: NDArray[np.bool_] | None = None) -> Array:
+    def counted_ns(
+        self, rows: NDArray, level_bytes: int | Array, level_balls: int | Array,
+        enters: NDArray[np.bool_] | None = None,
+    ) -> Array:  # fmt: skip
         """(T,) cost on the station by counters alone: the same whenever it is asked for.
 
         `enters`: (T,) which ticks enter a level; None: none does.
         """
-        here = counted_cost_ns(rows, level_bytes, self.here)
-        there = here if self.station.cost is None else counted_cost_ns(rows, level_bytes, self.station.cost)
+        here = counted_cost_ns(rows, level_bytes, self.here, level_balls)
+        cost = self.station.cost
+        there = here if cost is None else counted_cost_ns(rows, level_bytes, cost, level_balls)
         return there * self._factor(here, enters) * self.station.slowdown
 
-    def cost_ns(self, rows: NDArray, level_bytes: int | Array, enters: NDArray[np.bool_] | None = None) -> Array:
+    def cost_ns(
+        self, rows: NDArray, level_bytes: int | Array, level_balls: int | Array,
+        enters: NDArray[np.bool_] | None = None,
+    ) -> Array:  # fmt: skip
         """(T,) cost on the station by the clock, interrupts taken out. `enters`: as in `counted_ns`."""
-        counted = counted_cost_ns(rows, level_bytes, self.here)
+        counted = counted_cost_ns(rows, level_bytes, self.here, level_balls)
         cost = without_interrupts(rows, counted * self._factor(counted, enters)) * self.station.slowdown
         if self.station.cost is None:
             return cost
-        return cost * counted_cost_ns(rows, level_bytes, self.station.cost) / np.maximum(counted, 1.0)
+        there = counted_cost_ns(rows, level_bytes, self.station.cost, level_balls)
+        return cost * there / np.maximum(counted, 1.0)
 
     def _factor(self, counted_ns: Array, enters: NDArray[np.bool_] | None) -> Array:
         staying = self.curve.factor(counted_ns)
@@ -91,6 +103,7 @@ def sample_ladder(
     motions: Sequence[Motion],
     clock: Clock,
     felt_clock: Clock,
+    relay_clock: Clock,
     perception: Perception,
     l_mm: float,
     progress: Progress,
@@ -98,7 +111,9 @@ def sample_ladder(
     """Replays everything. Motions are at the clock's rate and at least as long.
 
     A tick that decides the cost's tail is rare: time goes into ticks, each replayed once and priced by its counters.
-    `felt_clock`, the first part of each motion, is enough for the feel and for switches.
+    The feel is read from all ticks too: a motion has few contacts, and a part of it is another hand. What is dear is to
+    ask what a switch would do there, so `felt_clock` may have fewer instants. What the loop pays for a switch is read
+    from the first part of each motion, `relay_clock`.
 
     Raises:
         InputError: the motions never touch.
@@ -107,9 +122,10 @@ def sample_ladder(
     rungs, subsets = grid.shape
     whole = [clock.cut(motion, i) for i, motion in enumerate(motions)]
     cut = [felt_clock.cut(motion, i) for i, motion in enumerate(motions)]
+    part = [relay_clock.cut(motion, i) for i, motion in enumerate(motions)]
 
     def felt(rows: Sequence[NDArray]) -> list[NDArray]:
-        return [part[:ticks] for part, ticks in zip(rows, felt_clock.motion_ticks, strict=True)]
+        return [its[:ticks] for its, ticks in zip(rows, felt_clock.motion_ticks, strict=True)]
 
     with ThreadPoolExecutor(threads()) as pool:
         levels = list(pool.map(bench.level, range(rungs)))
@@ -145,33 +161,36 @@ def sample_ladder(
     kinds = ((reach_mm[0], False), (reach_mm[1], False), (reach_mm[1], True))
     relays = [
         relay_ladder(
-            bench, levels, cut, felt_clock, reach, threads(),
+            bench, levels, part, relay_clock, reach, threads(),
             lambda done, i=i: progress("switch between levels", 0.5 + (i + done) / (2 * len(kinds))), leaping,
         )
         for i, (reach, leaping) in enumerate(kinds)
     ]  # fmt: skip
-    entered = [(r, rows) for entries, _ in relays for (r, _), rows in entries.items() if len(rows)]
+    entered = [(place, rows) for entries, _ in relays for place, rows in entries.items() if len(rows)]
     chosen = tuple(cell_rungs(grid))
-    swept, cell_bytes = _sweep_cells(bench, levels, chosen, cut, progress)
+    swept, cell_bytes = _sweep_cells(bench, levels, chosen, part, progress)
 
     # Prices of cells and triangles show where cell sizes differ, those of mappings where levels are entered.
-    timed = _timed(bench, levels, cut)
-    once = [(rows, int(level_bytes[r])) for (r, _), rows in kept.items()]
-    once += [(rows, int(cell_bytes[s, h])) for (s, _, h), rows in swept.items()]
-    entering = [(_counters_only(rows), int(level_bytes[r])) for r, rows in entered]
-    once += entering
-    both = timed + once
-    here = calibrate([rows for rows, _ in both], [size for _, size in both], repeated=len(timed))
-    staying = _curve([(rows, int(level_bytes[r])) for (r, _), rows in kept.items()], here)
-    costing = Costing(here, station, staying, _curve(entering, here) if entering else staying)
+    timed = _timed(bench, levels, part)
+    staying = [(rows, int(level_bytes[r]), grid.balls[b]) for (r, b), rows in kept.items()]
+    once = [(rows, int(cell_bytes[s, h]), grid.balls[b]) for (s, b, h), rows in swept.items()]
+    entering = [(_counters_only(rows), int(level_bytes[r]), grid.balls[b]) for (r, b), rows in entered]
+    every = [*timed, *staying, *once, *entering]
+    here = calibrate(
+        [rows for rows, _, _ in every], [size for _, size, _ in every], [count for _, _, count in every],
+        repeated=len(timed),
+    )  # fmt: skip
+    curve = _curve(staying, here)
+    costing = Costing(here, station, curve, _curve(entering, here) if entering else curve)
     cost = np.zeros((*grid.shape, clock.ticks))
     for (r, b), rows in kept.items():
-        cost[r, b] = costing.counted_ns(rows, int(level_bytes[r]))
+        cost[r, b] = costing.counted_ns(rows, int(level_bytes[r]), grid.balls[b])
     switch = np.zeros((2, *grid.shape, len(SWITCH_SHARES), len(kinds)))
     for i, (entries, touched) in enumerate(relays):
         for place, rows in entries.items():
             enters = np.ones(len(rows), dtype=bool)
-            priced = costing.counted_ns(rows, int(level_bytes[place[0]]), enters) if len(rows) else np.zeros(0)
+            size, carried = int(level_bytes[place[0]]), grid.balls[place[1]]
+            priced = costing.counted_ns(rows, size, carried, enters) if len(rows) else np.zeros(0)
             switch[:, *place, :, i] = np.stack(entry_costs(priced, touched[place], cost[place]))
 
     data = LadderData(
@@ -193,9 +212,9 @@ def _counters_only(rows: NDArray) -> NDArray:
     return out
 
 
-def _curve(records: Sequence[tuple[NDArray, int]], here: CostCoefficients) -> PriceCurve:
-    counted = [counted_cost_ns(rows, size, here) for rows, size in records]
-    return price_curve(np.concatenate([rows["cost_ns"] for rows, _ in records]), np.concatenate(counted))
+def _curve(records: Sequence[_Timed], here: CostCoefficients) -> PriceCurve:
+    counted = [counted_cost_ns(rows, size, here, balls) for rows, size, balls in records]
+    return price_curve(np.concatenate([rows["cost_ns"] for rows, _, _ in records]), np.concatenate(counted))
 
 
 def _velocity_mm_s(motions: Sequence[Motion]) -> Array:
@@ -203,14 +222,15 @@ def _velocity_mm_s(motions: Sequence[Motion]) -> Array:
     return np.concatenate([np.diff(at, axis=0, prepend=at[:1]) for at in places]) * motions[0].loop_hz
 
 
-def _timed(bench: Bench, levels: Sequence, motions: Sequence[Motion]) -> list[tuple[NDArray, int]]:
-    """Rows and bytes of the level of a few replays, one after the other: a tick's time is its least of several runs."""
+def _timed(bench: Bench, levels: Sequence, motions: Sequence[Motion]) -> list[_Timed]:
+    """A few replays, one after the other: a tick's time is its least of several runs."""
     parts = [_middle(motion, _SETTLING_TICKS + _TIMED_TICKS) for motion in motions]
     made = []
     for r in range(0, len(levels), _TIMED_RUNGS):
         for b in _swept_subsets(bench):
             replays = replay_fixed(bench, levels[r], r, bench.grid.balls[b], parts, _TIMED_REPEATS)
-            made.append((_counters_only(np.concatenate([rows[_SETTLING_TICKS:] for rows in replays])), levels[r].bytes))
+            rows = _counters_only(np.concatenate([rows[_SETTLING_TICKS:] for rows in replays]))
+            made.append((rows, levels[r].bytes, bench.grid.balls[b]))
     return made
 
 
@@ -256,7 +276,7 @@ def _cell_cost(bench: Bench, swept: dict[tuple[int, int, int], NDArray], cell_by
     subsets = _swept_subsets(bench)
     cost = np.zeros((cell_bytes.shape[0], len(subsets), cell_bytes.shape[1], 2))
     for (s, b, h), rows in swept.items():
-        cost[s, subsets.index(b), h] = dearest_mean(costing.counted_ns(rows, int(cell_bytes[s, h])))
+        cost[s, subsets.index(b), h] = dearest_mean(costing.counted_ns(rows, int(cell_bytes[s, h]), balls[b]))
     thin = np.log(np.array(balls, dtype=np.float64))
     share = (thin[0] - thin) / max(thin[0] - thin[-1], 1e-9)
     log = np.log(np.maximum(cost, 1.0))

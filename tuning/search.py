@@ -22,7 +22,7 @@ from tuning.compile_cache import compiled
 from tuning.known import Known, KnownPoints
 from tuning.objective import COST_WEIGHT, disturbance, objective
 from tuning.optimise import SequentialQuadratic
-from tuning.population import POOLED, over_motions
+from tuning.population import POOLED, WORST, over_motions
 from tuning.sample import threads
 from tuning.space import Space, decode
 
@@ -83,7 +83,8 @@ class Problem(eqx.Module):
     - `levels`: how many are used.
     - `budget_us`, `memory_mb`: limits. `station_us`: the station's own budget, for miss rates and the cost's weight.
     - `rows`, `row_limits`: order of levels.
-    - `over`, `motions`: what the objective is taken over (`tuning.population`), and how many motions there are.
+    - `worst`: of a population, whether the worst motion counts, else the mean (`tuning.population`).
+    - `motions`: how many the population has; 0: all are pooled.
     """
 
     log_low: Float[Array, " n"]
@@ -94,7 +95,7 @@ class Problem(eqx.Module):
     station_us: Array
     rows: Float[Array, "p n"]
     row_limits: Float[Array, " p"]
-    over: str = eqx.field(static=True)
+    worst: Array
     motions: int = eqx.field(static=True)
 
 
@@ -104,11 +105,11 @@ def _metrics(
     """The metrics, and the objective over the motions."""
     parameters = decode(problem.log_low + x * problem.log_span, problem.levels)
     station_us = problem.station_us
-    found, members = predict_members(measured, parameters, station_us, sharpness, problem.motions)
-    if problem.over == POOLED:
+    found, members = predict_members(measured, parameters, station_us, sharpness, max(problem.motions, 1))
+    if not problem.motions:
         return found, objective(found, station_us)
     each = disturbance(members.felt_error_jnd, members.discontinuity_per_s)
-    return found, over_motions(each, problem.over) + COST_WEIGHT * found["loop_cost_mean_us"] / station_us
+    return found, over_motions(each, problem.worst) + COST_WEIGHT * found["loop_cost_mean_us"] / station_us
 
 
 def value_and_excess(x: Float[Array, " n"], args: Any) -> tuple[Array, Array]:
@@ -145,7 +146,7 @@ class Search:
 
     Args:
         measured, space: the surrogate and its box. budget_us: the station's.
-        over, motions: as in `Problem`.
+        over, motions: what the objective is taken over (`tuning.population`), and how many motions there are.
         key: of measured and space. With it, what was looked at and found is kept between runs, and a search for
             another budget begins there; without, nothing is.
     """
@@ -167,7 +168,8 @@ class Search:
         levels_, budget, memory, station = (jnp.asarray(value) for value in scalars)
         return Problem(
             jnp.asarray(low), jnp.asarray(high - low), levels_, budget, memory, station,
-            jnp.asarray(rows), jnp.asarray(row_limits), self._over, 1 if self._over == POOLED else self._motions,
+            jnp.asarray(rows), jnp.asarray(row_limits), jnp.asarray(self._over == WORST),
+            0 if self._over == POOLED else self._motions,
         )  # fmt: skip
 
     def best(self, levels: int, limits: Limits, seed: int, near: NDArray[np.float64] | None = None) -> Found:

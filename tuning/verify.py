@@ -82,9 +82,10 @@ class Verifier:
             record = replay_levels(levels, config, origin, motion, self.tool, self.station, 1, cut_short=False)
             rows = record.rows.copy()
             used = np.array(record.level_bytes)[rows["level"]]
+            balls = np.array([min(level.balls, self.tool.balls) for level in config.levels])[rows["level"]]
             enters = entered(rows)
-            clock_ns = self.costing.cost_ns(record.rows, used, enters)
-            rows["cost_ns"] = self.costing.counted_ns(record.rows, used, enters)
+            clock_ns = self.costing.cost_ns(record.rows, used, balls, enters)
+            rows["cost_ns"] = self.costing.counted_ns(record.rows, used, balls, enters)
             # The costing has counted the slowdown.
             return replace(record, rows=rows, slowdown=1.0), (1e-3 * clock_ns).astype(np.float32)
 

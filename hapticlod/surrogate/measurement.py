@@ -1,9 +1,9 @@
 """What replays of a ladder gave, as arrays: everything the surrogate knows about a scan, a tool, a hand and a station.
 
 Time is kept at three rates. Ticks: velocity, for filter and triggers. Bins of a few ticks: what levels do to the feel
-(means within a bin). Instants, every few bins: what a switch would do there. Costs need many more ticks than the feel
-does, since rare ones decide: ticks and costs run over all motions, the feel over a part of each. Axes: R rungs (finest
-first), B ball subsets (all balls first), T ticks, m bins of all motions, n bins and I instants of the feel's part.
+(means within a bin). Instants, every few bins: what a switch would do there; that is dear to ask, so a long motion has
+fewer of them, all over it. Axes: R rungs (finest first), B ball subsets (all balls first), T ticks, m bins of all
+motions, n bins of the feel (all that fill an instant), I instants.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-// What the counters of a tick cost on this machine: the same model as hapticlod/station.py (CostCoefficients) and the
-// same robust fit as tuning/calibrate.py, in C++ so that a station needs no Python.
+// What the counters of a tick cost on this machine: the model of hapticlod/station.py (CostCoefficients), but for what
+// a tool of many balls costs on top (carried_ball_ns, union_test_ns: left 0), and the same robust fit as
+// tuning/calibrate.py, in C++ so that a station needs no Python.
 #pragma once
 #include <array>
 #include <span>

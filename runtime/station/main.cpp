@@ -63,12 +63,6 @@ constexpr Command kCommands[] = {
 };
 
 }  // namespace
-
-int refuse(const Fault& fault) {
-    std::fprintf(stderr, "%s\n", fault.line().c_str());
-    return kExitBadInput;
-}
-
 }  // namespace hapticlod::station
 
 int main(int argc, char** argv) {

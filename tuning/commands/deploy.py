@@ -122,7 +122,7 @@ def pack_command(
     package = _packed(bundle, output, station, trust, accept_unsigned)
     out = Console(highlight=False, soft_wrap=True)
     out.print(f"{output}: release {package.release}, {package.bytes / 1e6:.1f} MB", markup=False)
-    out.print(f"on the station: tar xf {output.name} && sh hapticlod-{package.release}/install.sh", markup=False)
+    out.print(f"on the station: tar xf {output.name} && {package.install}", markup=False)
 
 
 def _packed(bundle: Path, path: Path, station: Path | None, trust: bool, accept_unsigned: bool) -> Package:

@@ -91,7 +91,7 @@ def _timing(
 ) -> dict[str, Any]:  # fmt: skip
     counted = cell.station.cost is not None
     if counted:
-        records = [_counted(record, cell) for record in records]
+        records = [_counted(record, cell, config) for record in records]
     metrics = measure(records, records)  # against itself: only what it costs is taken
     return {
         "metrics": {key: metrics[key] for key in COST_KEYS},
@@ -119,7 +119,7 @@ def bin_edges_us() -> np.ndarray:
     return 10.0 ** (LOWEST_DECADE + np.arange(DECADES * BINS_PER_DECADE + 1) / BINS_PER_DECADE)
 
 
-def _counted(record: Record, cell: Cell) -> Record:
+def _counted(record: Record, cell: Cell, config: LodConfig) -> Record:
     from dataclasses import replace
 
     from tuning.calibrate import counted_cost_ns
@@ -127,7 +127,8 @@ def _counted(record: Record, cell: Cell) -> Record:
     assert cell.station.cost is not None
     rows = record.rows.copy()
     used = np.array(record.level_bytes, dtype=np.float64)[rows["level"]]
-    rows["cost_ns"] = counted_cost_ns(record.rows, used, cell.station.cost)
+    balls = np.array([min(level.balls, cell.tool.balls) for level in config.levels])[rows["level"]]
+    rows["cost_ns"] = counted_cost_ns(record.rows, used, cell.station.cost, balls)
     return replace(record, rows=rows)
 
 

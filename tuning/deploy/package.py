@@ -24,7 +24,7 @@ _README = """HapticLOD release {release}
 
 As a user that may write {root} (root may):
 
-    tar xf THIS_FILE.tar && sh hapticlod-{release}/install.sh install{trust}
+    tar xf THIS_FILE.tar && {install}
 
 `sh install.sh status` and `sh install.sh rollback` look at it and take it back; the head of install.sh has the options.
 """
@@ -39,12 +39,14 @@ class Package:
         release: its name on the station: the version, and a digest of what it holds.
         bytes: size of the tar file.
         signed: whether its bundle is.
+        install: the command that installs it where it was unpacked.
     """
 
     path: Path
     release: str
     bytes: int
     signed: bool
+    install: str
 
 
 def write_package(bundle: Path, path: Path, *, station: Path | None = None, trust: TrustedKey | None = None) -> Package:
@@ -69,12 +71,12 @@ def write_package(bundle: Path, path: Path, *, station: Path | None = None, trus
     sums = {name: _sha256(content) for name, content in sorted(files.items())}
     together = "".join(f"{digest}  {name}\n" for name, digest in sums.items())
     release = f"{hapticlod.__version__}-{hashlib.sha256(together.encode()).hexdigest()[:12]}"
-    hint = " --trust hapticlod-" + release + "/trust.pub" if trust else ""
-    files["README"] = _README.format(release=release, root=ROOT, trust=hint).encode()
+    install = f"sh hapticlod-{release}/install.sh" + (f" --trust hapticlod-{release}/trust.pub" if trust else "")
+    files["README"] = _README.format(release=release, root=ROOT, install=install).encode()
     files["ID"] = f"{release}\n".encode()
     files["SHA256SUMS"] = together.encode()
     _write_tar(path, f"hapticlod-{release}", files)
-    return Package(path, release, path.stat().st_size, held.signer is not None)
+    return Package(path, release, path.stat().st_size, held.signer is not None, install)
 
 
 def station_program() -> Path:
