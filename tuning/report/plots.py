@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from hapticlod.metrics import switch_jumps_n
@@ -225,6 +225,10 @@ def pareto_front(
     if chosen is not None:
         axes.plot(*chosen, "*", color="black", ms=10, label="this bundle, measured")
     axes.set_xscale("log")
+    # Budgets are few and near each other: written out, where powers of ten would leave one tick or overlap.
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("budget for the loop cost at p99.9 (µs)")
     axes.set_ylabel("felt error (JND)")
@@ -243,12 +247,12 @@ def surrogate_quality(metrics: Mapping[str, Mapping[str, Any]], *, title: str = 
         if found.get("ceiling") is not None:
             label = "ceiling: two measurements" if i == 0 else None
             axes.plot(found["ceiling"], i, "|", color="black", ms=11, mew=2, label=label)
-    axes.set_yticks(range(len(shown)), [key for key, _ in shown])
+    axes.set_yticks(range(len(shown)), [_RATIO_METRICS.get(key, key) for key, _ in shown])
     axes.set_ylim(max(len(shown), 1) - 0.5, -0.5)
     axes.set_xlim(min(0.0, *(m["spearman"] for _, m in shown), 0.0), 1.02)
     axes.set_xlabel("Spearman's rank correlation with measurements")
     if shown:
-        axes.legend(loc="lower left")
+        figure.legend(loc="outside lower left", ncols=2)
     return figure
 
 
