@@ -18,7 +18,7 @@ PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
 .PHONY: help setup tools configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-usb-vm test-circle \
     test-python lint format demo bench bench-quick bench-station bench-open soak fuzz station-static \
-    evaluate-surrogate bench-tuners optimiser-cases scans-table soak-scans mutate-scans clean
+    evaluate-surrogate bench-tuners optimiser-cases scans-table soak-scans mutate-scans full-mouth clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -119,7 +119,7 @@ TICKS ?= 100000000
 RUNS ?= 1e7
 fuzz: test-sanitized-build  ## 10^7 mutated bundles, motions and key files under sanitizers: hours; make fuzz RUNS=1e6
 	@command -v clang++ >/dev/null || { echo "make fuzz needs libFuzzer: apt-get install clang"; exit 1; }
-	@for target in bundle motion trusted_keys; do \
+	@for target in bundle device_profile motion trusted_keys; do \
 	    mkdir -p build/fuzz/$$target; \
 	    $(SANITIZED)/fuzz/$${target}_fuzz -runs=$$(printf %.0f $(RUNS)) -timeout=60 -max_len=16384 -print_final_stats=1 \
 	        -artifact_prefix=build/fuzz/$$target- build/fuzz/$$target runtime/fuzz/corpus/$$target || exit 1; \
@@ -135,6 +135,9 @@ scans-table: product  ## every file of DATA/dirty and DATA/meshes checked and tu
 soak-scans: TICKS := $(if $(filter command line,$(origin TICKS)),$(TICKS),1e6)
 soak-scans: product  ## random hands on every scan of DATA, judged by geometry of its own: TICKS=1e6 each [ONLY="part part"] [SEED=0]
 	@$(BIN)/python -m benchmarks.soak_scans --data "$(DATA)" --ticks $(TICKS) $(if $(ONLY),--only $(ONLY)) $(if $(SEED),--seed $(SEED))
+
+full-mouth: product  ## the paper's head with mouth, 5.3 M triangles in 7 parts: bundled and run [TUNE=1-3] [SHARE=1.0] [FOLDER=kept] [JSON=out.json]
+	@$(BIN)/python -m benchmarks.full_mouth $(if $(TUNE),--tune "$(TUNE)") $(if $(SHARE),--share "$(SHARE)") $(if $(FOLDER),--folder "$(FOLDER)") $(if $(JSON),--json "$(JSON)")
 
 CASES ?= 2000
 mutate-scans: product  ## CASES=2000 crops of scans with random faults: loaded, simplified and touched as the report says?

@@ -187,7 +187,7 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (("COLUMNS", "80"), ("HAPTICLOD_CACHE", str(folder / "cache"))):
             patch.setenv(name, value)
-        for name in ("SEEN_S", "APART_S", "FELT_S"):
+        for name in ("SEEN_S", "APART_S", "SWITCH_S"):
             patch.setattr(prepare, name, (2.5,))
         patch.chdir(folder)
         with redirect_stdout(out), redirect_stderr(notes):

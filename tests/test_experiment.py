@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from hapticlod.shipped import shipped_config
 from hapticlod.station import Station, load_station
 from hapticlod.tool import point
 from tuning.experiments.meshes import PLANE_TRIANGLES, SPHERE_VERTICES, mesh_level, plane, sphere
-from tuning.experiments.old_machine import run_late, slowdown_of
+from tuning.experiments.old_machine import Loop, run_late, slowdown_of
 from tuning.experiments.slides import DEPTH_MM, slide_on_plane, slide_on_sphere
 from tuning.report.plots import forces_over_time
 from tuning.report.style import svg_of
@@ -70,6 +71,9 @@ def test_a_loop_that_runs_late_gives_old_forces_and_skips_periods() -> None:
         ready = [k for k, at in enumerate(loop.started_s) if at + 0.0025 <= t / 1000.0 + 1e-9]
         seen = int(loop.started_s[ready[-1]] * 1000.0 + 1e-6)
         assert loop.felt_n[t, 2] == pytest.approx(depth[seen], abs=2e-3), t
+    # A last tick that never comes back is part of the rate: 3 ticks in 2.002 s.
+    stuck = Loop(loop.rows[:3], np.array([0.0, 0.001, 0.002]), np.array([500.0, 500.0, 2e6]), loop.felt_n)
+    assert stuck.rate_hz == pytest.approx(3 / 2.002)
     # In time, it is the replay of every period, one period late at most.
     quick = run_late([level], config, scan.centre_mm, motion, point(), constant_cost(station, 100.0))
     assert len(quick.rows) == ticks and quick.late_share == 0.0
@@ -107,6 +111,37 @@ def test_cut_short_the_tool_stays_behind_where_the_loop_breaks_down() -> None:
         assert loop.rate_hz < 100.0
         along[cut_short] = np.abs(loop.felt_n[:, :2]).max()
     assert along[False] < 1e-6 and along[True] > 1.0
+
+
+def test_jumps_are_drawn_on_the_first_machine_that_has_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """80 000 triangles at 55 mm/s: from where nothing jumps upward in tenths, until the plane resists the hand."""
+    from tuning.experiments import beginning
+    from tuning.experiments.outcome import Outcome
+
+    still = load_station(shipped_config("stations/paper_2009.toml")).adjusted(slowdown=3050.0, slowdown_reason="test")
+    medium, slow = beginning.Slide(80000, "medium", 55.0), beginning.Slide(80000, "slow", 20.0)
+    asked: list[tuple[float, bool]] = []
+    judged = beginning.dragged
+
+    def watched(config: LodConfig, surface: Any, motion: Motion, station: Station, tool: Any) -> bool:
+        asked.append((station.slowdown / 3050.0, judged(config, surface, motion, station, tool)))
+        return asked[-1][1]
+
+    monkeypatch.setattr(beginning, "dragged", watched)
+    out = Outcome()
+    beginning.draw_beginning(out, medium, slow, still, point(), 3.0)
+    factors, found = zip(*asked, strict=True)
+    assert list(factors) == pytest.approx(1.0 + 0.1 * np.arange(len(factors)))
+    assert len(found) >= 2 and list(found) == [False] * (len(found) - 1) + [True]
+    jumps, stays = out.rows
+    assert jumps["slower"] == stays["slower"] == pytest.approx(factors[-1])
+    assert max(jumps["old_force_range_n"][:2]) > 1.0 and max(stays["old_force_range_n"]) < 0.01
+    assert list(out.figures) == ["plane-80000-medium-slower"]
+    assert f"{factors[-1]:g} times slower" in out.figures["plane-80000-medium-slower"].get_suptitle()
+    monkeypatch.setattr(beginning, "MOST", 1.0)
+    none = Outcome()
+    beginning.draw_beginning(none, medium, slow, still, point(), 3.0)
+    assert none.rows == [] and none.figures == {}
 
 
 def test_the_command_draws_figures_and_writes_their_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

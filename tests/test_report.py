@@ -83,7 +83,9 @@ def record(ladder: Ladder, folder: Path) -> Record:
         "scan": {"name": NAME, "triangles": ladder.scan.triangles, "digest": ladder.scan.digest},
         "station": station.model_dump(mode="json"), "predicted": {**metrics, "felt_error_jnd": 0.6},
         "measured": metrics, "baselines": {"finest_only": {**metrics, "feasible": False}}, "feasible": True,
-        "explanation": "Three levels.",
+        "explanation": "Three levels.", "machine": {"processor": "abacus", "kernels": "beads"},
+        "clock": {"runs": 2.0, "load_average_before": 3.25, "load_others_cores": 0.75, "load_stolen_cores": None},
+        "golden_load": {"average_before": 1.5, "interruptions": 12.0},
     }  # fmt: skip
     write_bundle(
         folder / "globe.hlod", levels=levels, config=config.to_runtime(station, tool, origin), tool=tool,
@@ -131,6 +133,13 @@ def test_every_part_is_there_and_every_figure_is_told_in_words(page: Page) -> No
         title = picture["alt"].split(". ")[0]
         assert title in drawn and len(picture["alt"]) > len(title) + 20
     assert all(canvas["aria-label"] for canvas in page.every("canvas"))
+
+
+def test_the_load_while_it_was_timed_is_told(page: Page) -> None:
+    assert "processor abacus, kernels beads" in page.words
+    verified = "load while it was verified, mean of 2 runs"
+    assert f"{verified}load average 3.25 before, 0.75 cores busy with other programs" in page.words.replace("\n", "")
+    assert "load average 1.50 before, 12 interruptions" in page.words
 
 
 def test_names_are_shown_and_not_run(page: Page) -> None:

@@ -9,8 +9,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -22,6 +21,15 @@ from hapticlod.motion.recording_mcap import recorded_ticks
 
 DEPTH_MM = 0.5
 PATIENCE_S = 60.0  # of a busy machine; a quiet one needs a few milliseconds
+
+
+class Placed(NamedTuple):
+    """What a bundle says of a part beside its levels."""
+
+    name: str
+    position_mm: tuple[float, ...] = (0.0, 0.0, 0.0)
+    orientation: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
+    hidden: bool = False
 
 
 def flat_plate(z_mm: float, from_x_mm: float) -> Any:
@@ -37,11 +45,8 @@ def flat_plate(z_mm: float, from_x_mm: float) -> Any:
 
 def write_plates(path: Path, plates: dict[str, Any], **more: Any) -> None:
     """A scene of one level, a part for each plate."""
-    whole = _runtime.SceneLevel(list(plates.values()), 2.0)
-    parts = [
-        SimpleNamespace(name=name, position_mm=(0.0, 0.0, 0.0), orientation=(1.0, 0.0, 0.0, 0.0), hidden=False)
-        for name in plates
-    ]
+    whole: Any = _runtime.SceneLevel(list(plates.values()), 2.0)
+    parts = [Placed(name) for name in plates]
     config = plate_config([whole])
     config["loop_hz"] = 200.0  # so that a busy machine does not end the run as one that is too slow
     write_bundle(

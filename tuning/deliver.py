@@ -14,6 +14,8 @@ from hapticlod.bundle import write_bundle
 from hapticlod.material import COLUMNS
 from hapticlod.replay import replay_levels, runtime_levels
 from hapticlod.scene import Scene
+from tuning.load import LoadMeter
+from tuning.machine import this_machine
 
 if TYPE_CHECKING:
     from hapticlod.config import LodConfig
@@ -55,6 +57,7 @@ def document(result: TuneResult, scan: Scan) -> dict[str, Any]:
         "predicted": _numbers(result.predicted),
         "measured": _numbers(result.measured),
         "clock": _numbers(result.clock),
+        "machine": this_machine(),
         "baselines": baselines,
         "stages_s": {name: round(seconds, 3) for name, seconds in result.stages_s.items()},
         "population": result.population,
@@ -104,7 +107,9 @@ def write_tuned(
     """
     config = as_built(result)
     levels, golden = runtime_levels(config, result.ladder), result.golden
+    meter = LoadMeter()
     record = replay_levels(levels, config, scan.centre_mm, golden, tool, station, 1)
+    load = meter.read()
     told = document(result, scan)
     del told["stages_s"]  # times of this run: the same answer is to give the same file
     write_bundle(
@@ -130,6 +135,7 @@ def write_tuned(
             "config": config.model_dump(mode="json"),
             "motions": [_about(motion) for motion in result.motions],
             "golden_motion": _about(golden),
+            "golden_load": load,
             **told,
         },
         golden_motion=golden,

@@ -19,6 +19,7 @@ from hapticlod.station import Station
 from hapticlod.tool import Tool
 from tuning import kept
 from tuning.baselines import finest_only
+from tuning.load import LoadMeter, mean_load
 from tuning.sample import Costing, entered, threads
 
 # By the clock, a tick's time is its least over at most so many runs: other programs take time, the tick does not.
@@ -32,13 +33,14 @@ class Measured:
 
     `metrics` are those of `hapticlod.metrics`, costs by counters; `counted_us` the costs behind them and `clock_us`
     what the clock said, on the station and without interrupts: one (T,) float32 array per motion. `variety` of each
-    motion: how many levels were used in contact, and switches.
+    motion: how many levels were used in contact, and switches. `load` of the machine meanwhile: `LoadMeter.read`.
     """
 
     metrics: dict[str, float]
     counted_us: tuple[NDArray[np.float32], ...]
     clock_us: tuple[NDArray[np.float32], ...]
     variety: tuple[tuple[int, int], ...]
+    load: dict[str, float]
 
 
 @dataclass
@@ -115,13 +117,15 @@ class Verifier:
         found = kept.load("measured", asked) if self.key else None
         if found is None:
             self.runs += 1
+            meter = LoadMeter()
             records, clock = self.runs_of(config)
+            load = meter.read()
             if config.changed(name="") == finest_only(self.ladder, self.tool).changed(name=""):
                 self._reference = records
                 if self.key:
                     kept.store("reference", kept.key_of("reference", self.key), records)
             counted = tuple(record.cost_us.astype(np.float32) for record in records)
-            found = Measured(measure(records, self.reference()), counted, clock, tuple(map(_variety, records)))
+            found = Measured(measure(records, self.reference()), counted, clock, tuple(map(_variety, records)), load)
             if self.key:
                 kept.store("measured", asked, found)
         return found
@@ -160,17 +164,24 @@ class Verifier:
         """What the clock says of the loop cost: mean and quantiles, us, of a tick's least time over some runs.
 
         The run that measured counts as one; others follow until p99.9 is within the bound, at most `CLOCK_RUNS`.
+        `load_*`: the machine's load meanwhile (`LoadMeter.read`), mean over the runs. It is kept with the times: who
+        asks again gets what they were taken under, not what the machine does now.
         """
         asked = kept.key_of("clocked", self.key, config.changed(name="").model_dump_json())
         found = kept.load("clocked", asked) if self.key else None
-        runs, least = found or (1, self.run(config).clock_us)
-        while runs < CLOCK_RUNS and clock_metrics(least)["loop_cost_p999_us"] > within_us:
+        if found is None:
+            first = self.run(config)
+            found = first.clock_us, [first.load]
+        least, loads = found
+        while len(loads) < CLOCK_RUNS and clock_metrics(least)["loop_cost_p999_us"] > within_us:
+            meter = LoadMeter()
             _, again = self.runs_of(config)
+            loads.append(meter.read())
             least = tuple(np.minimum(a, b) for a, b in zip(least, again, strict=True))
-            runs += 1
             if self.key:
-                kept.store("clocked", asked, (runs, least))
-        return {**clock_metrics(least), "runs": float(runs)}
+                kept.store("clocked", asked, (least, loads))
+        load = {f"load_{key}": value for key, value in mean_load(loads).items()}
+        return {**clock_metrics(least), "runs": float(len(loads)), **load}
 
 
 def clock_metrics(costs_us: Sequence[NDArray]) -> dict[str, float]:

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hapticlod.config import MAPPINGS
+from tuning.load import load_in_words
 from tuning.tables import COLUMNS
 
 
@@ -63,6 +64,10 @@ def inspect_command(bundle: Path, /) -> None:
         known = [c for c in COLUMNS if isinstance(measured.get(c.key), int | float)]
         said = ", ".join(f"{c.name} {c.text(measured)}" for c in known)
         line("measured", said)
+    clock = held.manifest.get("clock")
+    if isinstance(clock, dict) and isinstance(clock.get("load_others_cores"), int | float):
+        load = {key.removeprefix("load_"): value for key, value in clock.items() if key.startswith("load_")}
+        line("load", f"{load_in_words(load)} (while it was verified)")
     if isinstance(held.manifest.get("explanation"), str):
         Console(highlight=False).print(held.manifest["explanation"], markup=False)
 

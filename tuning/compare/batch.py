@@ -6,17 +6,16 @@ Configurations that must be tuned are tuned before both, one at a time: the tune
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from hapticlod.errors import InputError
 from tuning.compare.cell import Cell, measuring_digest
 from tuning.compare.ledger import Ledger, Row
 from tuning.compare.task import Outcome, Stage, Task
+from tuning.machine import this_machine
 
 Told = Callable[[str], None]
 
@@ -54,13 +53,14 @@ def run_batch(
         InputError: the ledger cannot be written any more, or a worker ran other code; what was finished before is kept.
     """
     say: Told = told or (lambda line: None)
-    about = {"cells": len(cells), "hapticlod": version("hapticlod"), "code": measuring_digest(), **machine()}
+    about = {"cells": len(cells), "hapticlod": version("hapticlod"), "code": measuring_digest(), **this_machine()}
     ledger.note_run(about)
     held = {row.key: row for row in ledger.rows()}
     todo = [cell for cell in cells if cell.key not in held or not held[cell.key].is_done]
     felt = {cell.key for cell in todo if cell.key in held and held[cell.key].feel is not None}
     tuned = ledger.tunings()
     failed: set[str] = set()
+    costed: set[str] = set()
 
     def fail(cell: Cell, stage: str, error: str) -> None:
         ledger.put_error(cell, error)
@@ -91,10 +91,16 @@ def run_batch(
             fail(task.cell, count, outcome.error)
             continue
         ledger.put_feel(task.cell, outcome.result)
-        say(f"{count}  {_place(task.cell)}: felt error {outcome.result['metrics']['felt_error_jnd']:.2f} JND")
-    # Only a clock needs the machine for itself.
+        told = f"felt error {outcome.result['metrics']['felt_error_jnd']:.2f} JND"
+        if outcome.timing is not None:
+            ledger.put_timing(task.cell, outcome.timing)
+            costed.add(task.cell.key)
+            told += f", p99.9 {outcome.timing['metrics']['loop_cost_p999_us']:.1f} us"
+        say(f"{count}  {_place(task.cell)}: {told}")
+    # Only a clock needs the machine for itself. What is counted is left over where a run ended between feel and cost.
+    left = [cell for cell in todo if cell.key not in costed]
     for clocked in (False, True):
-        of = tasks(Stage.TIME, [cell for cell in todo if (cell.station.cost is None) is clocked])
+        of = tasks(Stage.TIME, [cell for cell in left if (cell.station.cost is None) is clocked])
         for task, outcome, count in _counted(executor, of, alone=clocked):
             if outcome.result is None:
                 fail(task.cell, count, outcome.error)
@@ -117,16 +123,3 @@ def _counted(executor: Executor, tasks: list[Task], *, alone: bool) -> Iterator[
 def _place(cell: Cell) -> str:
     scan, config, tool, station, motion = cell.names
     return f"{scan}, {config}, {tool}, {station}, {motion}"
-
-
-def machine() -> dict[str, Any]:
-    """What a timing hangs on: processor, kernel, kernels in use."""
-    from hapticlod import _runtime
-
-    model = platform.machine()
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), model)
-    except OSError:
-        pass
-    return {"processor": model, "kernel": platform.release(), "kernels": _runtime.kernels()}

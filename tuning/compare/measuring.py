@@ -13,7 +13,7 @@ from hapticlod.metrics import measure, measurement
 from hapticlod.replay import Record
 from tuning.compare.cell import Cell
 from tuning.compare.ground import ground_of, reference_of, scan_of
-from tuning.compare.load import LoadMeter
+from tuning.load import LoadMeter
 
 REPEATS = 3  # a tick's time is its least over so many runs: other programs take time, the tick does not
 # Histogram of costs: bins per decade, from 10^LOWEST us.
@@ -37,16 +37,20 @@ def tune_cell(cell: Cell) -> dict[str, Any]:
     }
 
 
-def feel_of(cell: Cell, tuned: dict[str, Any] | None) -> dict[str, Any]:
+def feel_of(cell: Cell, tuned: dict[str, Any] | None) -> tuple[dict[str, Any], dict[str, Any] | None]:
     """Everything but time: the metrics of feel against the finest level, and how the levels were used.
+
+    And what `timing_of` would give, where that is counted: this very replay has counted it. None where it is timed.
 
     `tuned`: what `tune_cell` gave, for a cell whose configuration is to be tuned.
     """
     ground = ground_of(cell)
     config = configuration(cell, tuned)
+    meter, begun = LoadMeter(), time.monotonic()
     records = ground.records(config, 1)
+    load, seconds = meter.read(), time.monotonic() - begun
     found = measurement(records, reference_of(cell))
-    return {
+    feel = {
         "metrics": {key: value for key, value in found.metrics.items() if key not in COST_KEYS},
         "config": config.model_dump(mode="json"),
         "levels": _levels(records),
@@ -56,6 +60,7 @@ def feel_of(cell: Cell, tuned: dict[str, Any] | None) -> dict[str, Any]:
         },
         "scan": {"triangles": ground.ladder.scan.triangles, "digest": ground.ladder.scan.digest},
     }  # fmt: skip
+    return feel, None if cell.station.cost is None else _timing(cell, records, None, seconds, load)
 
 
 def timing_of(cell: Cell, tuned: dict[str, Any] | None, core: int | None) -> dict[str, Any]:
@@ -75,9 +80,16 @@ def timing_of(cell: Cell, tuned: dict[str, Any] | None, core: int | None) -> dic
         meter = LoadMeter()
         begun = time.monotonic()
         records = ground.records(config, 1 if counted else REPEATS)
-        load = meter.read()
+        load, seconds = meter.read(), time.monotonic() - begun
     finally:
         os.sched_setaffinity(0, allowed)
+    return _timing(cell, records, chosen, seconds, load)
+
+
+def _timing(
+    cell: Cell, records: list[Record], core: int | None, seconds: float, load: dict[str, float]
+) -> dict[str, Any]:  # fmt: skip
+    counted = cell.station.cost is not None
     if counted:
         records = [_counted(record, cell, config) for record in records]
     metrics = measure(records, records)  # against itself: only what it costs is taken
@@ -85,8 +97,8 @@ def timing_of(cell: Cell, tuned: dict[str, Any] | None, core: int | None) -> dic
         "metrics": {key: metrics[key] for key in COST_KEYS},
         "basis": f"counted, {cell.station.name}'s coefficients" if counted else "timed here",
         "histograms": _histograms(records),
-        "core": chosen,
-        "seconds": time.monotonic() - begun,
+        "core": core,
+        "seconds": seconds,
         "load": load,
     }
 

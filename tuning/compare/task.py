@@ -35,11 +35,15 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A result, or in one line why there is none; `code`: what measured it, where the worker came to say so."""
+    """A result, or in one line why there is none; `code`: what measured it, where the worker came to say so.
+
+    `timing`: what a cell costs, where the replay that felt it has counted that as well.
+    """
 
     result: dict[str, Any] | None = None
     error: str = ""
     code: str = ""
+    timing: dict[str, Any] | None = None
 
 
 def perform(task: Task) -> Outcome:
@@ -50,7 +54,8 @@ def perform(task: Task) -> Outcome:
         if task.stage is Stage.TUNE:
             return Outcome(tune_cell(task.cell), code=measuring_digest())
         if task.stage is Stage.FEEL:
-            return Outcome(feel_of(task.cell, task.tuned), code=measuring_digest())
+            feel, timing = feel_of(task.cell, task.tuned)
+            return Outcome(feel, code=measuring_digest(), timing=timing)
         return Outcome(timing_of(task.cell, task.tuned, task.core), code=measuring_digest())
     except HapticLODError as error:
         return Outcome(error=" ".join(str(error).split()))

@@ -48,8 +48,9 @@ class Loop:
 
     @property
     def rate_hz(self) -> float:
-        """Ticks per second."""
-        return (len(self.started_s) - 1) / float(self.started_s[-1] - self.started_s[0])
+        """Ticks per second, until the last one ended: where the loop breaks down that one may be most of the motion."""
+        ended_s = self.started_s[-1] + 1e-6 * max(self.cost_us[-1], PERIOD_US)
+        return len(self.started_s) / float(ended_s - self.started_s[0])
 
     @property
     def late_share(self) -> float:

@@ -19,6 +19,7 @@ from hapticlod.layout import RECORD_DTYPE
 from hapticlod.replay import Record
 from hapticlod.scan import Scan
 from hapticlod.trust import judge_trust, read_trusted_keys, standard_trust_files
+from tuning.load import load_in_words
 from tuning.report import plots
 from tuning.report.page import figures, folded, page, section, table, words
 from tuning.report.view3d import MOST_TRIANGLES, Colouring, view_html
@@ -283,6 +284,7 @@ def _provenance(held: Bundle) -> list[str]:
     for key in ("scan", "tool", "station", "golden_motion"):
         if isinstance(manifest.get(key), dict):
             rows.append((key.replace("_", " "), _flat(manifest[key])))
+    rows += _timing(manifest)
     apart = manifest.get("motions")
     motions = [(m.get("name", ""), _flat(m)) for m in apart if isinstance(m, dict)] if isinstance(apart, list) else []
     digests = [(section.name, section.length, section.digest.hex()) for section in held.sections]
@@ -291,6 +293,20 @@ def _provenance(held: Bundle) -> list[str]:
         folded("Motions kept apart", table(("motion", "made of"), motions, "As the bundle says", texts=2)),
         folded("Digests of every section", table(("section", "bytes", "BLAKE2b-256"), digests, "As stored")),
     ]
+
+
+def _timing(manifest: Json) -> list[tuple[str, str]]:
+    """On what machine ticks were timed, and how busy it was."""
+    machine, clock, golden = (manifest.get(key) for key in ("machine", "clock", "golden_load"))
+    rows = [("timed on", _flat(machine))] if isinstance(machine, dict) else []
+    if isinstance(clock, dict):
+        runs = clock.get("runs")
+        load = {key.removeprefix("load_"): value for key, value in clock.items() if key.startswith("load_")}
+        often = f", mean of {runs:g} run{'s' if runs > 1 else ''}" if isinstance(runs, int | float) else ""
+        rows.append((f"load while it was verified{often}", load_in_words(load)))
+    if isinstance(golden, dict):
+        rows.append(("load while the golden motion was timed", load_in_words(golden)))
+    return rows
 
 
 def _flat(value: Json) -> str:

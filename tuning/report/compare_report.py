@@ -138,8 +138,8 @@ def _provenance(rows: Sequence[Row], done: Sequence[Row], runs: Sequence[dict[st
         )
     if len(loads) < len(done):
         told.append("What ticks cost on a station with coefficients of its own was counted, not timed.")
-    started = [(run["started"], run.get("hapticlod"), run.get("processor"), run.get("kernels"), run.get("cells"))
-               for run in runs]  # fmt: skip
+    keys = ("hapticlod", "processor", "kernels", "cells")
+    started = [(f"{run['started'][:19]} UTC".replace("T", " "), *(run.get(key) for key in keys)) for run in runs]
     stations = {row.station: row.about["station"] for row in rows}
     about = [(name, f"{s['loop_hz']:g} Hz, budget {s['budget_us']:g} µs, slowdown {s['slowdown']:g}, "
               f"{'own' if s.get('cost') else 'no'} cost coefficients") for name, s in stations.items()]  # fmt: skip

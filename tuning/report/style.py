@@ -36,7 +36,7 @@ _STYLE: Any = {
     "svg.fonttype": "none", "svg.hashsalt": "hapticlod", "path.simplify": True, "path.simplify_threshold": 0.3,
 }  # fmt: skip
 MOST_POINTS = 1600
-TITLE_PER_IN = 11.6  # characters of a title that fit
+TITLE_PER_IN = 11.4  # characters of a title that fit
 
 
 Plot = TypeVar("Plot", bound=Callable[..., Figure])

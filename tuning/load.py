@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 
@@ -34,6 +35,23 @@ class LoadMeter:
             "interruptions": float(interrupted),
             "own_share": round(own_s / wall_s, 3),
         }
+
+
+def mean_load(readings: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """What several readings come to: the mean of each figure, in the meter's digits; empty where there is none."""
+    keys = readings[0] if readings else ()
+    return {key: round(sum(reading[key] for reading in readings) / len(readings), 3) for key in keys}
+
+
+def load_in_words(reading: Mapping[str, object]) -> str:
+    """A reading as a user reads it; of one that lacks figures, what it has."""
+    words = {
+        "average_before": "load average {:.2f} before", "average_after": "{:.2f} after",
+        "others_cores": "{:.2f} cores busy with other programs", "stolen_cores": "{:.2f} taken by the host",
+        "interruptions": "{:.0f} interruptions", "own_share": "{:.2f} cores its own",
+    }  # fmt: skip
+    told = [text.format(reading[key]) for key, text in words.items() if isinstance(reading.get(key), int | float)]
+    return ", ".join(told) or "not recorded"
 
 
 def _busy() -> tuple[float, float]:
