@@ -60,7 +60,7 @@ def feel_of(cell: Cell, tuned: dict[str, Any] | None) -> tuple[dict[str, Any], d
         },
         "scan": {"triangles": ground.ladder.scan.triangles, "digest": ground.ladder.scan.digest},
     }  # fmt: skip
-    return feel, None if cell.station.cost is None else _timing(cell, records, None, seconds, load)
+    return feel, None if cell.station.cost is None else _timing(cell, config, records, None, seconds, load)
 
 
 def timing_of(cell: Cell, tuned: dict[str, Any] | None, core: int | None) -> dict[str, Any]:
@@ -83,11 +83,11 @@ def timing_of(cell: Cell, tuned: dict[str, Any] | None, core: int | None) -> dic
         load, seconds = meter.read(), time.monotonic() - begun
     finally:
         os.sched_setaffinity(0, allowed)
-    return _timing(cell, records, chosen, seconds, load)
+    return _timing(cell, config, records, chosen, seconds, load)
 
 
 def _timing(
-    cell: Cell, records: list[Record], core: int | None, seconds: float, load: dict[str, float]
+    cell: Cell, config: LodConfig, records: list[Record], core: int | None, seconds: float, load: dict[str, float]
 ) -> dict[str, Any]:  # fmt: skip
     counted = cell.station.cost is not None
     if counted:
