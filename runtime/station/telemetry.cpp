@@ -22,7 +22,7 @@ namespace {
 constexpr std::uint64_t kMagic = 0x31304C4554444C48ull;  // "HLDTEL01"
 constexpr std::size_t kWords = sizeof(TelemetryFrame) / 8;
 constexpr const char* kPrefix = "hapticlod-station.";
-using Words = std::array<std::uint64_t, kWords>;
+using SlotWords = std::array<std::uint64_t, kWords>;
 
 // Process ids of all rings there are.
 std::vector<std::uint32_t> rings() {
@@ -140,7 +140,7 @@ TelemetryRing::~TelemetryRing() {
 // written. On x86 these are plain moves.
 void TelemetryRing::push(const TelemetryFrame& frame) noexcept {
     Shared::Slot& slot = shared_->slots[next_ & (shared_->capacity - 1)];
-    const auto words = std::bit_cast<Words>(frame);
+    const auto words = std::bit_cast<SlotWords>(frame);
     slot.sequence.store(2 * next_ + 1, std::memory_order_relaxed);
     for (std::size_t i = 0; i < kWords; ++i) slot.words[i].store(words[i], std::memory_order_release);
     slot.sequence.store(2 * next_ + 2, std::memory_order_release);
@@ -154,7 +154,7 @@ const TelemetrySource& TelemetryRing::source() const noexcept { return shared_->
 bool TelemetryRing::read(std::uint64_t index, TelemetryFrame& frame) const noexcept {
     const Shared::Slot& slot = shared_->slots[index & (shared_->capacity - 1)];
     if (slot.sequence.load(std::memory_order_acquire) != 2 * index + 2) return false;
-    Words words;
+    SlotWords words;
     for (std::size_t i = 0; i < kWords; ++i) words[i] = slot.words[i].load(std::memory_order_acquire);
     if (slot.sequence.load(std::memory_order_relaxed) != 2 * index + 2) return false;
     frame = std::bit_cast<TelemetryFrame>(words);

@@ -91,12 +91,12 @@ def run_batch(
             fail(task.cell, count, outcome.error)
             continue
         ledger.put_feel(task.cell, outcome.result)
-        told = f"felt error {outcome.result['metrics']['felt_error_jnd']:.2f} JND"
+        line = f"felt error {outcome.result['metrics']['felt_error_jnd']:.2f} JND"
         if outcome.timing is not None:
             ledger.put_timing(task.cell, outcome.timing)
             costed.add(task.cell.key)
-            told += f", p99.9 {outcome.timing['metrics']['loop_cost_p999_us']:.1f} us"
-        say(f"{count}  {_place(task.cell)}: {told}")
+            line += f", p99.9 {outcome.timing['metrics']['loop_cost_p999_us']:.1f} us"
+        say(f"{count}  {_place(task.cell)}: {line}")
     # Only a clock needs the machine for itself. What is counted is left over where a run ended between feel and cost.
     left = [cell for cell in todo if cell.key not in costed]
     for clocked in (False, True):

@@ -88,7 +88,7 @@ def timing_of(cell: Cell, tuned: dict[str, Any] | None, core: int | None) -> dic
 
 def _timing(
     cell: Cell, config: LodConfig, records: list[Record], core: int | None, seconds: float, load: dict[str, float]
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     counted = cell.station.cost is not None
     if counted:
         records = [_counted(record, cell, config) for record in records]
