@@ -103,14 +103,19 @@ def test_watching_cannot_disturb_the_loop(bundle: Path, device: VirtualDevice, t
     device.wait("self.enabled")
     leader, follower = pty.openpty()
     words = [str(station_program()), "status", "--pid", str(process.pid)]
-    with subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=follower) as watcher:
-        assert b"rate" in os.read(leader, 65536)
+    watcher = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=follower)
+    try:
+        shown = b""
+        while b"rate" not in shown:
+            shown += os.read(leader, 65536)
         maps = Path(f"/proc/{watcher.pid}/maps").read_text().splitlines()
         shared = [line.split()[1] for line in maps if f"/dev/shm/hapticlod-station.{process.pid}" in line]
         assert shared and set(shared) == {"r--s"}
         watcher.send_signal(signal.SIGSTOP)
         device.wait(f"self.good_forces > {device.good_forces + 50}")
+    finally:  # nobody reads what it writes: it would not end by itself
         watcher.kill()
+        watcher.wait()
     os.close(leader)
     os.close(follower)
     device.wait(f"self.good_forces > {device.good_forces + 50}")
