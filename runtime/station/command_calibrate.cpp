@@ -159,23 +159,17 @@ int command_calibrate(Words words) {
     });
     const CostPrices prices = fit_prices(course.fitted);
 
-    double measured = 0.0, predicted = 0.0;
-    std::vector<double> off;
-    for (const TimedTick& tick : course.held_out) {
-        const double cost = std::max(1.0, double{tick.record.cost_ns}), fitted = prices.cost_ns(tick);
-        measured += cost;
-        predicted += fitted;
-        off.push_back(std::abs(fitted / cost - 1.0));
-    }
-    std::nth_element(off.begin(), off.begin() + static_cast<std::ptrdiff_t>(off.size() / 2), off.end());
     const std::string text =
         station_file(arguments.option("--name").value_or(host), hz.value(), facts_of(profile.value(), 1.0 / hz.value()),
                      profile.value().name, prices, course.fitted.size(), *late, rights);
     if (const auto fault = write_file_atomic(*out, text)) return refuse(*fault);
-    std::printf(
-        "%s: %zu ticks; on a surface and a tool that were left out, the mean is predicted as %.2f of what was "
-        "measured, half of the ticks within %.0f %%\n",
-        out->c_str(), course.fitted.size(), predicted / measured, 100.0 * off[off.size() / 2]);
+    std::printf("%s: %zu ticks; on a surface and with tools that were left out, the mean is predicted as\n",
+                out->c_str(), course.fitted.size());
+    for (const HeldOut& kept : course.held_out) {
+        const Agreement agreement = compare(prices, kept.ticks);
+        std::printf("  %.2f of what was measured, p99.9 as %.2f, half of the ticks within %.0f %%: %s\n",
+                    agreement.mean_ratio, agreement.p999_ratio, 100.0 * agreement.median_error, kept.tool);
+    }
     std::printf("  wake-up p50 %.1f, p99 %.1f, p99.9 %.1f, max %.1f us\n", late->percentile_us(0.5),
                 late->percentile_us(0.99), late->percentile_us(0.999), late->max_us());
     if (late->percentile_us(0.999) > (1.0 - kBudgetShare) * 1e6 / hz.value()) {

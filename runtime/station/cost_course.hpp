@@ -12,11 +12,17 @@ namespace hapticlod::station {
 struct TimedTick {
     TickRecord record;   // cost_ns: the least of several runs, as interrupts are not the tick's
     double level_bytes;  // of the level it used
+    double level_balls;  // that the level has of the tool's
+};
+
+struct HeldOut {
+    const char* tool;
+    std::vector<TimedTick> ticks;
 };
 
 struct Course {
-    std::vector<TimedTick> fitted;    // to fit prices to
-    std::vector<TimedTick> held_out;  // of a surface and a tool that are not among them
+    std::vector<TimedTick> fitted;  // to fit prices to
+    std::vector<HeldOut> held_out;  // of a surface and of tools that are not among them
 };
 
 // `ticks`: of each of some fifty replays; 1200 take five seconds. `progress`: told the share that is done.

@@ -22,7 +22,8 @@ std::vector<TimedTick> priced(const CostPrices& prices, double noise, double int
         tick.record.triangles = count(20'000);
         tick.record.tests = count(3'000);
         tick.record.iterations = count(60);
-        tick.record.balls = count(400);
+        tick.level_balls = std::floor(std::pow(400.0, uniform(random)));
+        tick.record.balls = static_cast<std::uint32_t>(tick.level_balls * uniform(random));
         tick.record.mapping_cells = uniform(random) < 0.05 ? count(200) : 0;
         tick.level_bytes = std::pow(10.0, 5.0 + 3.5 * uniform(random));
         double cost = prices.cost_ns(tick) * std::exp(noise * normal(random));
@@ -34,7 +35,7 @@ std::vector<TimedTick> priced(const CostPrices& prices, double noise, double int
 
 CostPrices known() {
     CostPrices prices;
-    prices.price_ns = {300.0, 40.0, 2.0, 55.0, 250.0, 12.0, 90.0};
+    prices.price_ns = {300.0, 8.0, 40.0, 2.0, 55.0, 250.0, 12.0, 90.0, 20.0};
     prices.cache_gain = 0.6;
     return prices;
 }
@@ -42,10 +43,19 @@ CostPrices known() {
 TEST(CostFit, FindsThePrices) {
     const CostPrices truth = known();
     const CostPrices fitted = fit_prices(priced(truth, 0.0, 0.0));
-    for (std::size_t i = 0; i < 7; ++i)
+    for (std::size_t i = 0; i < kTerms; ++i)
         EXPECT_NEAR(fitted.price_ns[i] / truth.price_ns[i], 1.0, 0.02) << kPriceNames[i];
     EXPECT_NEAR(fitted.cache_gain, truth.cache_gain, 0.02);
     EXPECT_NEAR(fitted.tail_p999, 1.0, 0.02);
+}
+
+// The formula of hapticlod/station.py, by hand: 32 MB pay half of the gain, and only for what is counted.
+TEST(CostFit, PricesCarriedBallsAndGoingFromBallToBall) {
+    TimedTick tick{{}, 32e6, 4.0};
+    tick.record.tests = 100;
+    EXPECT_DOUBLE_EQ(known().cost_ns(tick), 300.0 + 3 * 8.0 + 100 * (55.0 + 0.75 * 20.0) * 1.3);
+    tick.level_balls = 1.0;
+    EXPECT_DOUBLE_EQ(known().cost_ns(tick), 300.0 + 100 * 55.0 * 1.3);
 }
 
 TEST(CostFit, InterruptsAreNobodysPrice) {
