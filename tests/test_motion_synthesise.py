@@ -9,9 +9,18 @@ from motion_shapes import Mesh, plate, sphere
 
 from hapticlod.errors import InputError
 from hapticlod.motion import MODES, load_motion, save_motion, synthesise
-from hapticlod.motion.hand import shaft_orientation
-from hapticlod.motion.strokes import BASE_HZ, slow_noise, spread_normals, tremor_mm
+from hapticlod.motion.hand import round_crests, shaft_orientation
+from hapticlod.motion.strokes import (
+    BASE_HZ,
+    STROKES,
+    draw_strokes,
+    slow_noise,
+    spread_normals,
+    stroke_speed,
+    tremor_mm,
+)
 from hapticlod.motion.surface import Surface
+from hapticlod.motion.synthesise import strokes_in_air
 from hapticlod.tool import ball, load_tool
 
 CONFIGS = Path(__file__).parents[1] / "configs"
@@ -254,3 +263,53 @@ def test_few_contacts_show_the_whole_spread_of_forces() -> None:
         assert np.array_equal(parts, np.arange(count))
     first = np.array([spread_normals(3, rng)[0] for _ in range(4000)])
     assert abs(first.mean()) < 0.05 and abs(first.std() - 1.0) < 0.05
+
+
+def test_strokes_are_distributed_as_the_table_says() -> None:
+    """Peaks and durations against their log-normal distributions, over many hands; and strokes fill the time."""
+    from scipy.stats import kstest
+
+    for mode, its in STROKES.items():
+        hands = [draw_strokes(its, 6.0, np.random.default_rng(seed)) for seed in range(80)]
+        for name, median, sigma in (
+            ("peak_mm_s", its.peak_mm_s, its.peak_sigma),
+            ("duration_s", its.duration_s, its.duration_sigma),
+        ):
+            first = np.array([getattr(hand, name)[0] for hand in hands])  # of other hands: drawn freely
+            assert kstest(np.log(first / median) / sigma, "norm").pvalue > 1e-3, (mode, name)
+        for hand in hands[:20]:
+            assert hand.start_s[0] == 0.0 and hand.start_s[-1] < 6.0
+            gap_s = np.diff(hand.start_s) / hand.duration_s[:-1]
+            assert (np.abs(gap_s - 1.0 + its.overlap) <= 0.5 * its.overlap + 1e-9).all()
+            assert hand.start_s[-1] + hand.duration_s[-1] > 6.0 - its.overlap * hand.duration_s.max() * 1.5
+        order = np.concatenate([np.corrcoef(hand.peak_mm_s[:-1], hand.peak_mm_s[1:])[:1, 1] for hand in hands])
+        assert abs(order.mean()) < 0.15, mode  # fast ones follow slow ones as often as fast ones
+
+
+def test_two_hands_of_one_kind_have_about_the_same_speeds() -> None:
+    """Mean speed of hands of 12 s spreads by 6 to 9 % when strokes are drawn apart from each other."""
+    for mode, its in STROKES.items():
+        mean = [stroke_speed(draw_strokes(its, 12.0, np.random.default_rng(seed)), 12_000).mean() for seed in range(40)]
+        assert np.std(np.log(mean)) < 0.045, mode
+
+
+def test_a_fast_hand_presses_less_over_a_crest_and_not_in_a_hollow() -> None:
+    """m v^2 / R of the force is spent on the turn: 0.08 kg at 200 mm/s round 5 mm need 0.64 N."""
+    turn = 200.0 / 5.0 * np.arange(400) / BASE_HZ
+    outward = np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn])
+    depth = np.full(400, 2.0)
+    for normal, spent_n in ((outward, 0.64), (-outward, 0.0)):
+        carried = round_crests(5.0 * outward, normal, depth, 2.0)
+        np.testing.assert_allclose(carried[150:250], 2.0 - spent_n / 2.0, atol=0.01)
+    light = round_crests(5.0 * outward, outward, 0.1 * depth, 2.0)
+    assert (light[150:250] == 0.0).all()  # it can let go, not pull
+
+
+def test_strokes_in_the_air_are_as_fast_as_those_that_slide() -> None:
+    peaks = np.random.default_rng(0).lognormal(size=40)
+    rng = np.random.default_rng(1)
+    flown = np.array([strokes_in_air(peaks, rng) for _ in range(2000)])
+    assert np.abs(flown.mean(axis=0) - 0.4).max() < 0.06  # each stroke as often as the others
+    assert set(flown.sum(axis=1)) == {16}
+    slow = np.argsort(peaks)[:20]
+    assert set(flown[:, slow].sum(axis=1)) == {8}

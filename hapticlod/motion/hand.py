@@ -18,7 +18,8 @@ from hapticlod.tool import Tool
 
 Array = NDArray[np.float64]
 
-_FOLLOW_HZ = 25.0  # a hand of 0.08 kg on 1-2 N/mm follows a surface up to about sqrt(k/m) / 2 pi
+_HAND_KG = 0.08
+_FOLLOW_HZ = 25.0  # such a hand on 1-2 N/mm follows a surface up to about sqrt(k/m) / 2 pi
 _TURN_HZ = 1.5  # how fast the shaft follows the surface's normal
 _EVERY = 4  # base ticks: 250 Hz suffice for what is smooth already
 _BEARING_SHARE = 0.5  # of the way to the medial axis
@@ -92,6 +93,7 @@ def hand_motion(
     approach_s = min(_APPROACH_S, 0.1 * end_s)
     ends = [Lift(-1.0, approach_s, _LIFT_MM), Lift(end_s - approach_s, end_s + 1.0, _LIFT_MM)]
     depth = _depth_mm(time_s, lifts, press, rng)
+    depth = round_crests(centre, normal, depth, press.stiffness_n_mm)
     depth = _borne(surface, centre, normal, depth, tool.reference_radius_mm)
     room = _room(surface, centre, normal, tool.reference_radius_mm)
     offset = -depth
@@ -163,6 +165,18 @@ def _borne(surface: Surface, centre: Array, normal: Array, depth: Array, radius_
     wanted = np.maximum(depth - radius_mm, 0.0) / _BEARING_SHARE
     bearing = _least_near(surface, centre - radius_mm * normal, normal, wanted)
     return np.minimum(depth, radius_mm + _BEARING_SHARE * bearing)
+
+
+def round_crests(centre: Array, normal: Array, depth: Array, stiffness_n_mm: float) -> Array:
+    """`depth` (T,) less what it takes to carry the hand round a crest: m v^2 / R of the force is spent on the turn.
+
+    A hand that kept its force would come out on the far side of a sharp crest faster than any hand turns, with the
+    contact point left behind on the near side for as long as it presses.
+    """
+    path = low_passed(centre, 2.5 * _FOLLOW_HZ, BASE_HZ)
+    acceleration_mm_s2 = np.gradient(np.gradient(path, axis=0), axis=0) * BASE_HZ**2
+    inward = np.maximum(-np.einsum("ij,ij->i", acceleration_mm_s2, normal), 0.0)
+    return np.maximum(depth - 1e-3 * _HAND_KG * inward / stiffness_n_mm, 0.0)
 
 
 def _room(surface: Surface, centre: Array, normal: Array, radius_mm: float) -> Array:

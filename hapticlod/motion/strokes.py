@@ -34,26 +34,49 @@ STROKES: dict[Mode, Strokes] = {
 }
 
 
-def stroke_speed(strokes: Strokes, ticks: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Speed (T,) mm/s at `BASE_HZ`, and the start times of the strokes (S,) s.
+@dataclass(frozen=True)
+class Drawn:
+    """Strokes that were drawn, (S,) each: when they start, how long they last, their peak speeds."""
+
+    start_s: Array
+    duration_s: Array
+    peak_mm_s: Array
+
+
+def draw_strokes(strokes: Strokes, seconds: float, rng: np.random.Generator) -> Drawn:
+    """As many strokes as start within `seconds`.
+
+    Peaks, durations and overlaps are each one from every n-th part of its distribution, in random order: each alone is
+    distributed as if drawn freely, and two hands of one kind have about the same speeds.
+    """
+    pace_s = strokes.duration_s * np.exp(0.5 * strokes.duration_sigma**2) * (1.0 - strokes.overlap)
+    count = max(round(seconds / pace_s), 1)
+    while True:
+        duration_s = strokes.duration_s * np.exp(strokes.duration_sigma * spread_normals(count, rng))
+        stop_s = np.cumsum(duration_s * (1.0 - strokes.overlap * (0.5 + spread_uniforms(count, rng))))
+        if stop_s[-1] >= seconds:
+            break
+        count += 1
+    start_s = np.concatenate([[0.0], stop_s[:-1]])
+    peak_mm_s = strokes.peak_mm_s * np.exp(strokes.peak_sigma * spread_normals(count, rng))
+    within = start_s < seconds
+    return Drawn(start_s[within], duration_s[within], peak_mm_s[within])
+
+
+def stroke_speed(drawn: Drawn, ticks: int) -> Array:
+    """Speed (T,) mm/s at `BASE_HZ`.
 
     A stroke of length D and duration T has speed D/T 30 u^2 (1-u)^2, u = t/T: its peak is 1.875 D/T.
     """
     speed = np.zeros(ticks)
-    starts: list[float] = []
-    start_s = 0.0
-    while start_s * BASE_HZ < ticks:
-        duration_s = strokes.duration_s * np.exp(strokes.duration_sigma * rng.normal())
-        peak_mm_s = strokes.peak_mm_s * np.exp(strokes.peak_sigma * rng.normal())
+    for start_s, duration_s, peak_mm_s in zip(drawn.start_s, drawn.duration_s, drawn.peak_mm_s, strict=True):
         first = round(start_s * BASE_HZ)
         samples = max(round(duration_s * BASE_HZ), 2)
         u = (np.arange(samples) + 0.5) / samples
         bell = peak_mm_s / 1.875 * 30.0 * u**2 * (1.0 - u) ** 2
         fits = min(samples, ticks - first)
         speed[first : first + fits] += bell[:fits]
-        starts.append(start_s)
-        start_s += duration_s * (1.0 - strokes.overlap * rng.uniform(0.5, 1.5))
-    return speed, np.array(starts)
+    return speed
 
 
 def brownian_heading(ticks: int, rng: np.random.Generator, rad_per_root_s: float = 0.6) -> Array:
@@ -61,14 +84,20 @@ def brownian_heading(ticks: int, rng: np.random.Generator, rad_per_root_s: float
     return np.cumsum(rng.normal(size=ticks)) * rad_per_root_s / np.sqrt(BASE_HZ)
 
 
+def spread_uniforms(count: int, rng: np.random.Generator) -> Array:
+    """Numbers (n,) in [0, 1), one from each n-th part, in random order (stratified sampling)."""
+    return (rng.permutation(count) + rng.random(count)) / count
+
+
 def spread_normals(count: int, rng: np.random.Generator) -> Array:
     """Normal deviates (n,), one from each n-th part of the distribution, in random order (stratified sampling).
 
-    A motion has few contacts; drawn apart from each other, their forces would make two motions of one hand unlike.
+    A motion has few contacts and strokes; drawn apart from each other, their forces and speeds would make two motions
+    of one hand unlike.
     """
     from scipy.special import ndtri
 
-    return ndtri((rng.permutation(count) + rng.random(count)) / count)
+    return ndtri(spread_uniforms(count, rng))
 
 
 def tremor_mm(ticks: int, rng: np.random.Generator, *, rms_mm: float = 0.03, centre_hz: float = 10.0) -> Array:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hapticlod.errors import InputError
 from hapticlod.motion.hand import Lift, Press, hand_motion, touched_path
 from hapticlod.motion.motion import Motion
-from hapticlod.motion.strokes import BASE_HZ, MODES, STROKES, Mode, brownian_heading, stroke_speed
+from hapticlod.motion.strokes import BASE_HZ, MODES, STROKES, Drawn, Mode, brownian_heading, draw_strokes, stroke_speed
 from hapticlod.motion.surface import ScanLike, surface_of
 from hapticlod.motion.walk import Path, start_on, step_for, walk
 from hapticlod.tool import Tool, point
@@ -65,9 +65,10 @@ def synthesise(
     rng = np.random.default_rng([seed, MODES.index(mode)])
     surface = surface_of(scan)
     ticks = round(seconds * BASE_HZ)
-    speed, starts = stroke_speed(STROKES[mode], ticks, rng)
+    drawn = draw_strokes(STROKES[mode], ticks / BASE_HZ, rng)
+    speed = stroke_speed(drawn, ticks)
     travelled = np.cumsum(speed) / BASE_HZ
-    heading = _heading(mode, ticks, starts, rng)
+    heading = _heading(mode, ticks, drawn.start_s, rng)
     margin = 1.3 if tool.reference_radius_mm > 0 or mode == "trace" else 1.1
     length_mm = margin * float(travelled[-1])
     step_mm = step_for(surface, float(travelled[-1]), seconds)
@@ -86,7 +87,7 @@ def synthesise(
         "scan": str(getattr(scan, "name", "")),
         "scan_digest": str(getattr(scan, "digest", "")),
     }
-    lifts = _lifts(mode, seconds, starts, rng)
+    lifts = _lifts(mode, seconds, drawn, rng)
     name = f"{mode}-{seed}"
     return hand_motion(surface, track, normals, speed, lifts, press, tool, loop_hz, rng, name, provenance)
 
@@ -140,11 +141,18 @@ def _slowed_in_bends(speed: Array, track: Path) -> Array:
     return np.diff(place, prepend=0.0) * BASE_HZ
 
 
-def _lifts(mode: Mode, seconds: float, starts: Array, rng: np.random.Generator) -> list[Lift]:
+def strokes_in_air(peak_mm_s: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """(S,) which transfer strokes fly: every n-th by speed, so that those are neither slower nor faster than others."""
+    share = 1.0 - _TRANSFER_CONTACT
+    place = np.argsort(np.argsort(peak_mm_s)) * share + rng.random()
+    return np.floor(place + share) > np.floor(place)
+
+
+def _lifts(mode: Mode, seconds: float, drawn: Drawn, rng: np.random.Generator) -> list[Lift]:
     """When the tool leaves the surface."""
     if mode == "transfer":
-        stops = np.append(starts[1:], seconds)
-        in_air = rng.random(len(starts)) > _TRANSFER_CONTACT
+        starts, stops = drawn.start_s, np.append(drawn.start_s[1:], seconds)
+        in_air = strokes_in_air(drawn.peak_mm_s, rng)
         heights = rng.uniform(0.5, 2.0, len(starts))
         return [Lift(*span) for span in zip(starts[in_air], stops[in_air], heights[in_air], strict=True)]
     lifts: list[Lift] = []
