@@ -14,6 +14,7 @@ from hapticlod.collapse import CollapseList, collapse
 from hapticlod.deviation import Deviation, ScanSurface
 from hapticlod.errors import InputError
 from hapticlod.material import face_areas, transferred, vertex_areas
+from hapticlod.measured_rung import MeasuredRung
 from hapticlod.repair import DEGENERATE_HEIGHT_OF_EXTENT
 from hapticlod.rung_check import Sides, UnsoundRung, checked_deviation
 from hapticlod.scan import Scan
@@ -27,7 +28,7 @@ _REMEMBERED = 32  # rungs of `at` that are kept
 
 
 @dataclass(frozen=True, eq=False)
-class Rung:
+class Rung(MeasuredRung):
     """One simplification of the scan.
 
     Attributes:
@@ -51,11 +52,6 @@ class Rung:
     def triangles(self) -> int:
         """Number of faces."""
         return len(self.faces)
-
-    @property
-    def is_larger_than_asked(self) -> bool:
-        """Whether the simplifier stopped early."""
-        return self.triangles > self.asked
 
     @cached_property
     def mean_edge_mm(self) -> float:
@@ -81,16 +77,6 @@ class Rung:
         mesh = SurfaceIndex(self.vertices, self.faces)
         said = self._scan.deviation(self.vertices, self.faces, self.vertex_map, mesh)
         return checked_deviation(said, self._scan, self.vertices, self.faces, mesh)
-
-    @property
-    def rms_mm(self) -> float:
-        """Root mean square distance between rung and scan, both directions."""
-        return self.deviation.rms_mm
-
-    @property
-    def hausdorff_mm(self) -> float:
-        """Greatest distance found between rung and scan, either direction."""
-        return self.deviation.hausdorff_mm
 
 
 @dataclass(frozen=True, eq=False)
