@@ -155,9 +155,7 @@ def test_the_distance_policy_follows_the_exact_distance(name: str, hysteresis: f
 def test_shading_takes_facets_away_on_a_coarse_level(globe: Ladder) -> None:
     tool = ball(0.5)
     found = {"fixed_coarse": 0.0, "fixed_coarse_shaded": 0.0}
-    for seed in range(
-        10
-    ):  # one may happen to cross few edges: 0.34 to 0.88, all of sixteen 0.46
+    for seed in range(10):  # one may happen to cross few edges: 0.34 to 0.88, all of sixteen 0.46
         motion = synthesise(globe.scan, "trace", seconds=2.0, loop_hz=1000.0, seed=seed, tool=tool)
         reference = replay(scheme("fixed_finest").on(globe, tool), globe, motion, tool)
         for name in found:
