@@ -129,9 +129,7 @@ class SceneLadder:
         return self._made[triangles]
 
 
-def ladder_of(
-    scan: Scan, *, progress: Callable[[str, float], None] | None = None, keep: Keep = make_anew
-) -> Ladder:
+def ladder_of(scan: Scan, *, progress: Callable[[str, float], None] | None = None, keep: Keep = make_anew) -> Ladder:
     """The ladder of a scan, or of a scene, which has everything that the tuner asks of one: see `build_ladder`."""
     if isinstance(scan, Scene):
         return cast(Ladder, build_scene_ladder(scan, progress=progress, keep=keep))
