@@ -12,7 +12,9 @@ RELEASE := build/release
 SANITIZED := build/sanitized
 # The sanitized build is also the second compiler's: clang where there is one.
 SANITIZED_CXX := $(shell command -v clang++ || command -v c++)
-CMAKE_FLAGS := -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_WERROR=ON
+# Sources joined compile in half the time, and run as fast (docs/decisions.md D34). Who edits one of them: make build UNITY=OFF
+UNITY ?= ON
+CMAKE_FLAGS := -DCMAKE_UNITY_BUILD=$(UNITY) -DCMAKE_UNITY_BUILD_BATCH_SIZE=12 -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DHAPTICLOD_WERROR=ON
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl' 'examples/*.c')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
@@ -63,7 +65,7 @@ test-cpp: build  ## C++ tests, release build
 test-sanitized-build: tools
 	@mkdir -p build
 	@cmake -S . -B $(SANITIZED) $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
-	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) -DCMAKE_UNITY_BUILD=ON -DCMAKE_UNITY_BUILD_BATCH_SIZE=12 \
+	    -DCMAKE_CXX_COMPILER=$(SANITIZED_CXX) \
 	    -DHAPTICLOD_SANITIZE=address,undefined >$(SANITIZED).log 2>&1 || { cat $(SANITIZED).log; exit 1; }
 	@$(BUILD) $(SANITIZED)
 

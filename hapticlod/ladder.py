@@ -15,6 +15,7 @@ from hapticlod.collapse import CollapseList, collapse
 from hapticlod.deviation import Deviation, ScanSurface
 from hapticlod.errors import InputError
 from hapticlod.material import face_areas, transferred, vertex_areas
+from hapticlod.measured_rung import MeasuredRung
 from hapticlod.repair import DEGENERATE_HEIGHT_OF_EXTENT
 from hapticlod.rung_check import Sides, UnsoundRung, checked_deviation
 from hapticlod.scan import Scan
@@ -36,7 +37,7 @@ def make_anew(name: str, make: Callable[[], Any]) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Rung:
+class Rung(MeasuredRung):
     """One simplification of the scan.
 
     Attributes:
@@ -60,11 +61,6 @@ class Rung:
     def triangles(self) -> int:
         """Number of faces."""
         return len(self.faces)
-
-    @property
-    def is_larger_than_asked(self) -> bool:
-        """Whether the simplifier stopped early."""
-        return self.triangles > self.asked
 
     @cached_property
     def mean_edge_mm(self) -> float:
@@ -93,16 +89,6 @@ class Rung:
 
     def _measure(self, keep: Keep, name: str) -> None:
         self.__dict__["deviation"] = keep(name, lambda: self.deviation)  # where the cached property looks first
-
-    @property
-    def rms_mm(self) -> float:
-        """Root mean square distance between rung and scan, both directions."""
-        return self.deviation.rms_mm
-
-    @property
-    def hausdorff_mm(self) -> float:
-        """Greatest distance found between rung and scan, either direction."""
-        return self.deviation.hausdorff_mm
 
 
 @dataclass(frozen=True, eq=False)

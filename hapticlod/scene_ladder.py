@@ -13,6 +13,7 @@ import numpy as np
 from hapticlod.deviation import Deviation
 from hapticlod.errors import InputError
 from hapticlod.ladder import STAGE, Keep, Ladder, Rung, build_ladder, make_anew
+from hapticlod.measured_rung import MeasuredRung
 from hapticlod.scan import Scan
 from hapticlod.scene import Scene
 
@@ -22,7 +23,7 @@ _REMEMBERED = 32
 
 
 @dataclass(frozen=True, eq=False)
-class SceneRung:
+class SceneRung(MeasuredRung):
     """A rung of every part; seen as one mesh it has what a `Rung` has, and passes for one (`ladder_of`).
 
     Attributes:
@@ -76,21 +77,6 @@ class SceneRung:
             max(d.hausdorff_mm for d in each),
             float(sum(w * d.turned_part for w, d in zip(weight, each, strict=True))),
         )
-
-    @property
-    def is_larger_than_asked(self) -> bool:
-        """Whether simplification stopped early."""
-        return self.triangles > self.asked
-
-    @property
-    def rms_mm(self) -> float:
-        """Root mean square distance to the scans."""
-        return self.deviation.rms_mm
-
-    @property
-    def hausdorff_mm(self) -> float:
-        """Greatest distance to the scans."""
-        return self.deviation.hausdorff_mm
 
 
 def _area(rung: Rung) -> float:

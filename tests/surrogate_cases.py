@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from hapticlod.perception import load_perception
 from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_samples
 from hapticlod.surrogate.ladder_curves import ladder_curves
 from hapticlod.surrogate.measurement import Feel, Instants, LadderMeasurement
 from hapticlod.surrogate.traps import Traps
+from tuning import search
 from tuning.space import Space
 
 RUNGS, SUBSETS, CELLS = 4, 2, 3
 TICKS_PER_BIN, BINS_PER_WINDOW, BINS_PER_INSTANT = 4, 4, 4
 BINS, GROUPS = 160, 20
 TICKS, INSTANTS = BINS * TICKS_PER_BIN, BINS // BINS_PER_INSTANT
+
+
+def few_starts(patch: pytest.MonkeyPatch) -> None:
+    """Searches begin from fewer points than for users: enough on so small a ladder."""
+    patch.setattr(search, "SCREENED", 8)
+    patch.setattr(search, "STARTS", 3)
 
 
 def made_measurement(seed: int = 0) -> LadderMeasurement:

@@ -189,6 +189,8 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
             patch.setenv(name, value)
         for name in ("SEEN_S", "APART_S", "SWITCH_S"):
             patch.setattr(prepare, name, (2.5,))
+        for name, few in (("SCREENED", 8), ("STARTS", 3)):
+            patch.setattr(f"tuning.search.{name}", few)
         patch.chdir(folder)
         with redirect_stdout(out), redirect_stderr(notes):
             assert tuning.cli.run(words) == 0, notes.getvalue()

@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from surrogate_cases import made_measurement, made_space
+from surrogate_cases import few_starts, made_measurement, made_space
 
 import tuning.cli
 from hapticlod.config import Level, LodConfig
 from hapticlod.errors import InputError
 from hapticlod.surrogate.surrogate import predict_members
-from tuning import population, search
+from tuning import population
 from tuning.objective import disturbance
 from tuning.population import check_over, measured_each, measured_over, over_motions
 from tuning.search import Limits, Search
@@ -61,7 +61,7 @@ def test_mean_and_worst():
 
 def test_the_search_serves_whom_it_is_asked_to_serve(measured, monkeypatch):
     """Of two optima from the same starts each is the best by its own measure."""
-    monkeypatch.setattr(search, "STARTS", 3)  # enough on so small a ladder
+    few_starts(monkeypatch)
     found = {}
     for over in ("mean", "worst"):
         searched = Search(measured, SPACE, 200.0, over, MOTIONS)

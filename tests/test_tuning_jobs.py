@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import trimesh
+from surrogate_cases import few_starts
 
 import tuning.cli
 from hapticlod.config import Level, LodConfig
@@ -32,6 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     save_motion(made / "hand.csv", synthesise(scan, "scan", seconds=4.0, loop_hz=1000.0, seed=1, tool=tool()))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("HAPTICLOD_CACHE", str(made / "cache"))
+        few_starts(patch)
         yield made
 
 

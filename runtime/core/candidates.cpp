@@ -169,6 +169,25 @@ double Candidates::empty_within(const Vec3& centre, double outer, TickCounters& 
     return std::sqrt(nearest2);
 }
 
+// The blocks of every occupied cell in range, of all parts that are near: use(first, end) per cell until it says false.
+// done() after each part, while its surface is still the one looked at.
+template <class Use, class Done>
+bool Candidates::for_blocks(const Vec3& centre, double range, TickCounters& counters, Use&& use, Done&& done) {
+    bool complete = true;
+    for (std::uint32_t p = 0; p < near_count_ && complete; ++p) {
+        look_at(near_parts_[p]);
+        const std::uint32_t* cells = surface_->view.cells.data();
+        for_cells(centre, range, counters, [&](const Brick& brick, int bit, double) {
+            ++counters.cells;
+            const std::uint32_t cell = cell_of(brick, bit);
+            counters.triangles += 8 * (cells[cell + 1] - cells[cell]);
+            return complete = use(cells[cell], cells[cell + 1]);
+        });
+        complete = complete && done();
+    }
+    return complete;
+}
+
 // The entry of a pair in the table, or the free entry where it would go.
 Candidates::Known& Candidates::known(std::uint32_t block, std::uint32_t whose) {
     const std::uint64_t mixed = (std::uint64_t{block} << 12 ^ whose) * 0x9e3779b97f4a7c15u;
@@ -225,7 +244,6 @@ bool Candidates::gather_one(std::uint32_t place, double reach, TickCounters& cou
     const float within = static_cast<float>(reach) * 1.00001f;
     const double outer = ball.kept + reach;
     float least = std::numeric_limits<float>::max();
-    bool complete = true;
     ++counters.balls;
     // Bounds of several cells together: cells hold few.
     BlockBound near_by[kChunk];
@@ -242,30 +260,24 @@ bool Candidates::gather_one(std::uint32_t place, double reach, TickCounters& cou
             least = std::min(least, is_near ? least : low[b]);
         }
         for (std::uint32_t k = 0; k < near; ++k) {
-            if (block_count_ == kMaxBlocks) return complete = false;
+            if (block_count_ == kMaxBlocks) return false;
             listed_bounds_[block_count_] = near_by[chosen[k]];
             list(block[chosen[k]], part_ << 16, double{low[chosen[k]]});
         }
         waiting = 0;
         return true;
     };
-    for (std::uint32_t p = 0; p < near_count_ && complete; ++p) {
-        look_at(near_parts_[p]);
-        const LevelView& level = surface_->view;
-        for_cells(centre, outer, counters, [&](const Brick& brick, int bit, double) {
-            ++counters.cells;
-            const std::uint32_t cell = cell_of(brick, bit);
-            const std::uint32_t from = level.cells[cell], end = level.cells[cell + 1];
-            counters.triangles += 8 * (end - from);
-            for (std::uint32_t b = from; b < end;) {
+    const bool complete = for_blocks(
+        centre, outer, counters,
+        [&](std::uint32_t b, std::uint32_t end) {
+            while (b < end) {
                 const std::uint32_t stop = std::min(end, b + kChunk - waiting);
                 for (; b < stop; ++b, ++waiting) near_by[waiting] = surface_->bounds[b], block[waiting] = b;
                 if (waiting == kChunk && !look()) return false;
             }
             return true;
-        });
-        if (complete && waiting > 0) look();
-    }
+        },
+        [&] { return waiting == 0 || look(); });
     if (complete)
         balls_clear_until_[place] =
             odometer_ +
@@ -298,28 +310,22 @@ bool Candidates::gather_balls(std::uint32_t index, double reach, TickCounters& c
     float least[8], low[8 * kChunk];
     std::uint32_t bits[kChunk], near = 0;
     std::fill_n(least, 8, std::numeric_limits<float>::max());
-    bool complete = true;
-    for (std::uint32_t p = 0; p < near_count_ && complete; ++p) {
-        look_at(near_parts_[p]);
-        const LevelView& level = surface_->view;
-        for_cells(centre, outer, counters, [&](const Brick& brick, int bit, double) {
-            ++counters.cells;
-            const std::uint32_t cell = cell_of(brick, bit);
-            const std::uint32_t end = level.cells[cell + 1];
-            counters.triangles += 8 * (end - level.cells[cell]);
-            for (std::uint32_t from = level.cells[cell]; from < end; from += kChunk) {
+    const bool complete = for_blocks(
+        centre, outer, counters,
+        [&](std::uint32_t from, std::uint32_t end) {
+            for (; from < end; from += kChunk) {
                 const std::uint32_t count = std::min(end - from, kChunk);
                 kernels_->near(&surface_->bounds[from], count, pack, at, active, within, least, low, bits);
                 for (std::uint32_t b = 0; b < count; ++b)
                     for (near |= bits[b]; bits[b] != 0; bits[b] &= bits[b] - 1) {
                         const auto lane = static_cast<std::uint32_t>(std::countr_zero(bits[b]));
-                        if (block_count_ == kMaxBlocks) return complete = false;
+                        if (block_count_ == kMaxBlocks) return false;
                         list(from + b, part_ << 16 | tree_->ball(node.first + lane), double{low[8 * b + lane]});
                     }
             }
             return true;
-        });
-    }
+        },
+        [] { return true; });
     if (!complete) return false;
     // Nothing within reach of a ball: until the tool has moved as far as the nearest block beyond, leave it be.
     for (std::uint32_t k = 0; k < node.count; ++k)

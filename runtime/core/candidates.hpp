@@ -117,6 +117,8 @@ private:
     [[nodiscard]] double empty_within(const Vec3& centre, double outer, TickCounters& counters);
     template <class Use>
     void for_cells(const Vec3& centre, double range, TickCounters& counters, Use&& use) const;
+    template <class Use, class Done>
+    [[nodiscard]] bool for_blocks(const Vec3& centre, double range, TickCounters& counters, Use&& use, Done&& done);
 
     const SceneLevel* level_ = nullptr;
     const Kernels* kernels_ = nullptr;

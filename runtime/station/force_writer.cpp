@@ -15,16 +15,15 @@ namespace hapticlod::station {
 namespace {
 
 constexpr std::int64_t kIdle = -1;
-
-struct Message {
-    std::int64_t posted_ns = 0;
-    std::size_t size = 0;
-    std::array<std::uint8_t, kMaxReportBytes + 1> bytes{};
-};
-
-}  // namespace
+}
 
 struct ForceWriter::Shared {
+    struct Message {
+        std::int64_t posted_ns = 0;
+        std::size_t size = 0;
+        std::array<std::uint8_t, kMaxReportBytes + 1> bytes{};
+    };
+
     explicit Shared(HidConnection opened) : connection(std::move(opened)) {}
     HidConnection connection;
     Mailbox<Message> mailbox;
@@ -72,7 +71,7 @@ ForceWriter::~ForceWriter() {
 }
 
 void ForceWriter::post(std::span<const std::uint8_t> report, std::int64_t now_ns) noexcept {
-    Message& message = shared_->mailbox.slot();
+    Shared::Message& message = shared_->mailbox.slot();
     message.posted_ns = now_ns;
     message.size = std::min(report.size(), message.bytes.size());
     std::copy_n(report.begin(), message.size, message.bytes.begin());

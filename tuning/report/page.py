@@ -63,7 +63,7 @@ def _figure(figure: Figure, text: str) -> str:
     title = " ".join(figure.get_suptitle().split())
     alt = escape(f"{title}. {text}", quote=True)
     return (
-        f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{alt}">'
+        f'<figure><div class="scroll" tabindex="0"><img src="data:image/svg+xml;base64,{data}" alt="{alt}"></div>'
         f"<figcaption>{escape(text)}</figcaption></figure>"
     )
 
