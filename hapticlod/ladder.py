@@ -88,7 +88,7 @@ class Rung(MeasuredRung):
         return checked_deviation(said, self._scan, self.vertices, self.faces, mesh)
 
     def _measure(self, keep: Keep, name: str) -> None:
-        self.__dict__["deviation"] = keep(name, lambda: self.deviation)  # where the cached property looks first
+        vars(self)["deviation"] = keep(name, lambda: self.deviation)  # where the cached property looks first
 
 
 @dataclass(frozen=True, eq=False)
