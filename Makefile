@@ -19,7 +19,7 @@ CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
 .PHONY: help setup tools configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-usb-vm test-service-vm test-circle \
-    test-python lint format demo bench bench-quick bench-station bench-open soak fuzz station-static \
+    test-python lint format demo bench bench-quick bench-station bench-open bench-static soak fuzz station-static \
     evaluate-surrogate bench-tuners optimiser-cases scans-table soak-scans mutate-scans full-mouth clean
 
 help:  ## this list
@@ -119,6 +119,9 @@ bench-station: product  ## wake-ups and computing of the loop apart, on the demo
 
 bench-open: build  ## from opening 2.6 M triangles, or BUNDLE=file, to the first tick: cold, warm, known
 	@$(BIN)/python -m benchmarks.bench_open $(if $(BUNDLE),--bundle="$(BUNDLE)")
+
+bench-static: product station-static  ## the static station against the dynamic one: make bench-static BUNDLE=file
+	@$(BIN)/python -m benchmarks.bench_static --bundle "$(BUNDLE)"
 
 TICKS ?= 100000000
 RUNS ?= 1e7
