@@ -4,6 +4,8 @@
 SHELL := /usr/bin/env bash
 PYTHON ?= python3
 export PYTHON
+# Packages are installed uncompiled (scripts/bootstrap): forbidden to keep what it compiles, every process would do it again.
+unexport PYTHONDONTWRITEBYTECODE
 
 BIN := .venv/bin
 # ninja cannot take part in make's own sharing of jobs, and says so at length.
@@ -18,7 +20,7 @@ CMAKE_FLAGS := -DCMAKE_UNITY_BUILD=$(UNITY) -DCMAKE_UNITY_BUILD_BATCH_SIZE=12 -G
 CPP_FILES = $(shell git ls-files --cached --others --exclude-standard 'runtime/*.cpp' 'runtime/*.hpp' 'runtime/*.h' 'runtime/*.inl' 'examples/*.c')
 PY_DIRS := $(wildcard hapticlod tuning benchmarks tests scripts examples)
 
-.PHONY: help setup tools configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-usb-vm test-circle \
+.PHONY: help setup tools configure build product test test-cpp test-sanitized test-sanitized-build test-threads test-hidraw-vm test-usb-vm test-service-vm test-circle \
     test-python lint format demo bench bench-quick bench-station bench-open bench-static soak fuzz station-static \
     evaluate-surrogate bench-tuners optimiser-cases scans-table soak-scans mutate-scans full-mouth clean
 
@@ -85,6 +87,9 @@ test-hidraw-vm: build  ## the station against a real kernel's hidraw in QEMU; sk
 
 test-usb-vm: build  ## the same on USB (vhci_hcd: usbhid, its endpoints, SET_REPORT, replug); downloads a kernel of 70 MB
 	@scripts/test_device_vm usb || [ $$? = 77 ]
+
+test-service-vm: build  ## the packed station as a systemd service in QEMU: installed, killed, with a device, stopped; fetches 250 MB
+	@scripts/test_service_vm || [ $$? = 77 ]
 
 test-circle: build  ## a hand recorded on the simulated device, a whole tuning for it, and its run: a minute
 	@HAPTICLOD_WHOLE=1 $(BIN)/python -m pytest -q tests/test_recording_circle.py

@@ -143,8 +143,8 @@ def soak(scan: Scan, name: str, station: Station, ticks: int, seed: int) -> Tall
             Judge(local_vertices(rung, scan.centre_mm).astype(np.float64), rung.faces, radius_mm, slack_mm)
             for rung in ladder.rungs
         ]
-        for hand in range(seed, seed + max(1, ticks // 2 // CHUNK)):
-            motion = random_hand(scan, tool, hand, min(CHUNK, ticks // 2))
+        for hand, done in enumerate(range(0, ticks // 2, CHUNK), seed):
+            motion = random_hand(scan, tool, hand, min(CHUNK, ticks // 2 - done))
             rows = replay_levels(levels, config, scan.centre_mm, motion, tool, station, 1, cut_short=False).rows
             _judge(tally, rows, judges, scan.centre_mm, f"{tool.name}, seed {hand}", station.max_force_n, slack_mm)
     return tally

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,14 @@ STAGE = "simplify into a ladder and measure the rungs"
 _LEAST_STEP = 0.03
 _NOTED_AREA = 0.02  # of the scan's: a rung's loss of area that is worth a note
 _REMEMBERED = 32  # rungs of `at` that are kept
+
+Keep = Callable[[str, Callable[[], Any]], Any]
+"""Is given the name of a piece of work and what does it; gives its result, made now or kept since an earlier run."""
+
+
+def make_anew(name: str, make: Callable[[], Any]) -> Any:
+    """A `Keep` that keeps nothing."""
+    return make()
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +87,9 @@ class Rung(MeasuredRung):
         said = self._scan.deviation(self.vertices, self.faces, self.vertex_map, mesh)
         return checked_deviation(said, self._scan, self.vertices, self.faces, mesh)
 
+    def _measure(self, keep: Keep, name: str) -> None:
+        vars(self)["deviation"] = keep(name, lambda: self.deviation)  # where the cached property looks first
+
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
@@ -126,6 +138,7 @@ def build_ladder(
     coarsest_ratio: float = 300.0,
     *,
     progress: Callable[[str, float], None] | None = None,
+    keep: Keep = make_anew,
 ) -> Ladder:
     """Simplify a scan once and cut the list of collapses into rungs, evenly spaced in the logarithm of their size.
 
@@ -134,6 +147,7 @@ def build_ladder(
         rungs: how many, at least 1; fewer come back where simplification stops early or the scan is small.
         coarsest_ratio: the scan's triangles over those of the coarsest rung.
         progress: called with the stage and how much of it is done, 0 to 1.
+        keep: asked for the list of collapses and for every rung's deviation: what takes long on a large scan.
 
     Raises:
         InputError: fewer than 1 rung or a ratio below 1.
@@ -147,7 +161,7 @@ def build_ladder(
     count = scan.triangles
     targets = [max(1, round(count * coarsest_ratio ** (-i / max(1, rungs - 1)))) for i in range(rungs)]
     surface = ScanSurface(scan.vertices, scan.faces)
-    collapses = collapse(scan.vertices, scan.faces, targets[-1])
+    collapses: CollapseList = keep("collapses", lambda: collapse(scan.vertices, scan.faces, targets[-1]))
     same = np.arange(len(scan.vertices), dtype=np.int32)
     finest = Rung(scan.vertices, scan.faces, same, count, surface, scan.vertex_materials)
     made, refused, last = [finest], "", 0
@@ -163,7 +177,7 @@ def build_ladder(
         last = steps
         if rung.triangles > (1.0 - _LEAST_STEP) * made[-1].triangles:
             continue
-        _ = rung.deviation  # measured now, while progress is shown
+        rung._measure(keep, f"deviation after {steps} collapses")  # now, while progress is shown
         made.append(rung)
         tell(STAGE, 0.2 + 0.8 * number / max(1, rungs - 1))
     tell(STAGE, 1.0)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from hapticlod.box import bounding_box
+
 _BITS = 20  # per axis: cells of one millionth of the extent
 
 
 def morton_order(points: np.ndarray) -> np.ndarray:
     """Permutation (n,) that sorts points (n, 3) along the Z-order curve through their bounding box (Morton, 1966)."""
-    low = points.min(axis=0)
-    span = float((points.max(axis=0) - low).max())
+    low, high = bounding_box(points)
+    span = float((high - low).max())
     scale = (2**_BITS - 1) / span if span > 0.0 else 0.0
     cell = ((points - low) * scale).astype(np.uint64)
     code = _spread(cell[:, 0]) | (_spread(cell[:, 1]) << np.uint64(1)) | (_spread(cell[:, 2]) << np.uint64(2))

@@ -36,6 +36,9 @@ def check_ply(data: bytes, where: str) -> None:
     if held < needed:
         least = f"at least {needed} {unit}"
         raise InputError(where, f"is cut short: its head claims {claim} ({least}), {held} {unit} follow", _FIX)
+    if vertex.count > 0 and not any(element.name == "face" and element.count for element in elements):
+        remedy = "mesh it first, then give the surface"
+        raise InputError(where, f"is a point cloud ({vertex.count} points, no faces)", remedy)
     if is_text and held > needed:
         raise InputError(where, f"is damaged: its head claims {claim}, {held} {unit} follow", _FIX)
     check_corners(body, elements, form, where)

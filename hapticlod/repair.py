@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from hapticlod.box import box_diagonal
 from hapticlod.caps import contract_dust, flip_caps, is_flat
 from hapticlod.errors import InputError
 from hapticlod.morton import morton_order
@@ -62,7 +63,7 @@ def clean(
     repeated = _repeats(faces)
     collapsed, faces, source = collapsed + int(repeated.sum()), faces[~repeated], source[~repeated]
     _some_left(faces, where, "every face is degenerate (two of its corners are one point)")
-    height = DEGENERATE_HEIGHT_OF_EXTENT * float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
+    height = DEGENERATE_HEIGHT_OF_EXTENT * box_diagonal(vertices)
     flat = is_flat(vertices, faces, height)
     collapsed += int(flat.sum())
     if flat.any():

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hapticlod.box import bounding_box, box_diagonal
 from hapticlod.errors import InputError
 from hapticlod.material import check_materials, vertex_means
 from hapticlod.repair_report import Count, RepairReport
@@ -52,12 +53,13 @@ class Scan:
     @cached_property
     def extent_mm(self) -> float:
         """Diagonal of the bounding box."""
-        return float(np.linalg.norm(self.vertices.max(axis=0) - self.vertices.min(axis=0)))
+        return box_diagonal(self.vertices)
 
     @cached_property
     def centre_mm(self) -> np.ndarray:
         """Centre (3,) of the bounding box."""
-        return 0.5 * (self.vertices.max(axis=0) + self.vertices.min(axis=0))
+        low, high = bounding_box(self.vertices)
+        return 0.5 * (high + low)
 
     @cached_property
     def digest(self) -> str:

@@ -60,20 +60,7 @@ def read_mesh(path: Path) -> FileMesh:
             that cannot be.
     """
     where = os.fspath(path)
-    kind = path.suffix.lower().lstrip(".")
-    data = _read_bytes(path, kind)
-    if kind == "stl":
-        data = _check_stl(data, where)
-    elif kind == "ply":
-        check_ply(data, where)
-    elif kind == "obj":
-        data = _as_utf8(data, kind, where)
-    elif kind == "off":
-        data = _check_off(_as_utf8(data, kind, where), where)
-    elif kind == "3mf":
-        _check_3mf(data, where)
-    else:
-        check_glb(data, where)
+    data, kind = _checked(path)
     bodies = _bodies(data, kind, where)
     if not bodies:
         raise InputError(where, "holds no triangles", "export a surface with faces")
@@ -89,6 +76,11 @@ def read_mesh(path: Path) -> FileMesh:
     )
 
 
+def check_mesh_file(path: Path) -> None:
+    """Raise InputError where `read_mesh` would refuse a file for what can be seen without parsing it. Fast."""
+    _checked(path)
+
+
 def check_indices(faces: np.ndarray, vertex_count: int, where: str) -> None:
     """Raise InputError naming the first face that refers to a vertex that is not there."""
     bad = (faces < 0) | (faces >= vertex_count)
@@ -100,6 +92,26 @@ def check_indices(faces: np.ndarray, vertex_count: int, where: str) -> None:
             f"refers to vertex {index}, but the vertices are 0 to {vertex_count - 1}",
             "delete that face or export the scan again",
         )
+
+
+def _checked(path: Path) -> tuple[bytes, str]:
+    """The bytes of a file that may well be what its ending says, and that ending."""
+    where = os.fspath(path)
+    kind = path.suffix.lower().lstrip(".")
+    data = _read_bytes(path, kind)
+    if kind == "stl":
+        data = _check_stl(data, where)
+    elif kind == "ply":
+        check_ply(data, where)
+    elif kind == "obj":
+        data = _as_utf8(data, kind, where)
+    elif kind == "off":
+        data = _check_off(_as_utf8(data, kind, where), where)
+    elif kind == "3mf":
+        _check_3mf(data, where)
+    else:
+        check_glb(data, where)
+    return data, kind
 
 
 def _read_bytes(path: Path, kind: str) -> bytes:

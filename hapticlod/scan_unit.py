@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hapticlod.box import box_diagonal
 from hapticlod.errors import InputError
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "in": 25.4}
@@ -82,7 +83,7 @@ def guess_unit(vertices: np.ndarray, faces: np.ndarray) -> Unit:
         return Unit("mm", "unit mm: nothing to guess from", False)
     few = vertices[faces[:: max(1, len(faces) // 20_000)]]
     with np.errstate(invalid="ignore", over="ignore"):
-        extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+        extent = box_diagonal(points)
         edges = np.linalg.norm(few - np.roll(few, 1, axis=1), axis=2)
     edges = edges[np.isfinite(edges) & (edges > 0.0)]
     edge = float(np.median(edges)) if len(edges) else extent

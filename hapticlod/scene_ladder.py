@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import cast
+from functools import cached_property, partial
+from typing import Any, cast
 
 import numpy as np
 
 from hapticlod.deviation import Deviation
 from hapticlod.errors import InputError
-from hapticlod.ladder import STAGE, Ladder, Rung, build_ladder
+from hapticlod.ladder import STAGE, Keep, Ladder, Rung, build_ladder, make_anew
 from hapticlod.measured_rung import MeasuredRung
 from hapticlod.scan import Scan
 from hapticlod.scene import Scene
@@ -115,11 +115,11 @@ class SceneLadder:
         return self._made[triangles]
 
 
-def ladder_of(scan: Scan, *, progress: Callable[[str, float], None] | None = None) -> Ladder:
-    """The ladder of a scan, or of a scene, which has everything that the tuner asks of one."""
+def ladder_of(scan: Scan, *, progress: Callable[[str, float], None] | None = None, keep: Keep = make_anew) -> Ladder:
+    """The ladder of a scan, or of a scene, which has everything that the tuner asks of one: see `build_ladder`."""
     if isinstance(scan, Scene):
-        return cast(Ladder, build_scene_ladder(scan, progress=progress))
-    return build_ladder(scan, progress=progress)
+        return cast(Ladder, build_scene_ladder(scan, progress=progress, keep=keep))
+    return build_ladder(scan, progress=progress, keep=keep)
 
 
 def share_for(scene: Scene, triangles: int) -> float:
@@ -134,14 +134,18 @@ def share_for(scene: Scene, triangles: int) -> float:
     return low
 
 
-def build_scene_ladder(scene: Scene, *, progress: Callable[[str, float], None] | None = None) -> SceneLadder:
+def build_scene_ladder(
+    scene: Scene, *, progress: Callable[[str, float], None] | None = None, keep: Keep = make_anew
+) -> SceneLadder:
     """Simplify every part once, and cut rungs of equal shares. Raises what `build_ladder` raises."""
     tell = progress or (lambda stage, part: None)
     ladders: list[Ladder] = []
     done = 0
     for part in scene.parts:
         ratio = max(part.scan.triangles / max(part.triangles_at(1.0 / _COARSEST_RATIO), 1), 1.0)
-        ladders.append(build_ladder(part.scan, rungs=_RUNGS if ratio > 1.0 else 1, coarsest_ratio=ratio))
+        rungs = _RUNGS if ratio > 1.0 else 1
+        of_part = partial(_keep_of_part, keep, part.name)
+        ladders.append(build_ladder(part.scan, rungs=rungs, coarsest_ratio=ratio, keep=of_part))
         done += part.scan.triangles
         tell(STAGE, done / scene.triangles)
     shares = [_COARSEST_RATIO ** (-i / (_RUNGS - 1)) for i in range(_RUNGS)]
@@ -153,6 +157,10 @@ def build_scene_ladder(scene: Scene, *, progress: Callable[[str, float], None] |
             made.append(rung)
     notes = tuple(f"{p.name}: {n}" for p, ladder in zip(scene.parts, ladders, strict=True) for n in ladder.notes)
     return SceneLadder(scene, tuple(made), tuple(ladders), notes)
+
+
+def _keep_of_part(keep: Keep, part: str, name: str, make: Callable[[], Any]) -> Any:
+    return keep(f"{part}: {name}", make)
 
 
 def _rung(scene: Scene, ladders: Sequence[Ladder], share: float, asked: int) -> SceneRung:

@@ -7,6 +7,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from hapticlod.box import bounding_box, box_diagonal
 from hapticlod.topology import edge_table, is_among
 
 # Two border vertices nearer than this, as a part of the extent (the diagonal of the bounding box), are one point:
@@ -14,6 +15,7 @@ from hapticlod.topology import edge_table, is_among
 TOLERANCE_OF_EXTENT = 1e-4
 # ... but never so far that a fine mesh loses shape: at most this part of the median edge.
 TOLERANCE_OF_EDGE = 0.05
+_MIXERS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], dtype=np.uint64)
 
 
 def weld_equal(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -70,6 +72,9 @@ def weld_near_borders(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, n
     if len(border) == 0:
         return 0.0, goal
     tolerance = _tolerance(vertices, faces)
+    border = border[_may_have_neighbour(vertices[border], tolerance)]
+    if len(border) == 0:
+        return tolerance, goal
     tree = KDTree(vertices[border], balanced_tree=False, compact_nodes=False)  # built fast: it is asked once
     pairs = tree.query_pairs(tolerance, output_type="ndarray")
     if len(pairs) == 0:
@@ -87,8 +92,29 @@ def weld_near_borders(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, n
     return tolerance, lowest[label]
 
 
+def _may_have_neighbour(points: np.ndarray, distance: float) -> np.ndarray:
+    """Points (n, 3) that may have another within `distance`, as (n,) bool: among few a tree finds pairs fast.
+
+    Two points that near lie in one cell of four grids, each shifted against the last by a quarter of a cell along all
+    axes, where cells are four times as wide: every axis parts them in one of the four at most.
+    """
+    found = np.zeros(len(points), dtype=bool)
+    low, high = bounding_box(points)
+    # No more cells than rounding leaves room for: wider ones are right, too.
+    width = max(4.001 * distance, 2.0**-36 * float((high - low).max()), np.finfo(np.float64).tiny)
+    at = (points - low) / width
+    for grid in range(4):
+        cell = (at + 0.25 * grid).astype(np.uint64)
+        with np.errstate(over="ignore"):  # equal cells have equal keys; others may, too
+            key = cell[:, 0] * _MIXERS[0] + cell[:, 1] * _MIXERS[1] + cell[:, 2] * _MIXERS[2]
+        order = np.argsort(key)
+        alike = np.flatnonzero(key[order[1:]] == key[order[:-1]])
+        found[order[alike]] = found[order[alike + 1]] = True
+    return found
+
+
 def _tolerance(vertices: np.ndarray, faces: np.ndarray) -> float:
-    extent = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
+    extent = box_diagonal(vertices)
     sample = faces[:: max(1, len(faces) // 100_000)]
     edge = np.linalg.norm(vertices[sample] - vertices[sample[:, [1, 2, 0]]], axis=2)
     return min(TOLERANCE_OF_EXTENT * extent, TOLERANCE_OF_EDGE * float(np.median(edge)))

@@ -72,7 +72,8 @@ def test_install_upgrade_and_rollback(
     station: LoopbackStation, bundles: list[Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert deploy(station, bundles[0], "station", "--dry-run") == 0
-    assert "would install" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "would install" in said and "would do: nothing is current" in said
     assert list(station.state()) == ["trusted_keys"]
 
     assert deploy(station, bundles[0], "station") == 0
@@ -81,6 +82,9 @@ def test_install_upgrade_and_rollback(
     first = current(station)
     assert (first / "bundle.hlod").read_bytes() == bundles[0].read_bytes()
     assert run_station("inspect", first / "bundle.hlod").returncode == 0
+    assert (first / "devices/native.toml").is_file()  # what DEVICE=native means on a station
+    assert deploy(station, "station", "--status") == 0
+    assert "previous: none" in capsys.readouterr().out
     before = station.state()
     assert deploy(station, bundles[0], "station") == 0  # again: nothing changes
     assert "was current already" in capsys.readouterr().out

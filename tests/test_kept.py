@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 
+import hapticlod.ladder
 import tuning.prepare
 from hapticlod.scan import Scan, scan_from_arrays
 from hapticlod.shipped import shipped_config
@@ -98,3 +100,54 @@ def test_an_interrupted_tuning_goes_on_after_the_last_stage_it_finished(
     other = scan_from_arrays(ball.vertices * 1.01, ball.faces)
     with pytest.raises(AssertionError, match="made again"):
         prepare(other, station, point())
+
+
+def test_a_ladder_interrupted_between_rungs_goes_on_there(
+    ball: Scan, station: Station, monkeypatch: pytest.MonkeyPatch, cache: Path
+) -> None:
+    whole = hapticlod.ladder.build_ladder(ball)
+    parts: list[float] = []
+
+    def until_the_fifth_rung(stage: str, part: float) -> None:
+        parts.append(part)
+        if len(parts) == 7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        prepare(ball, station, point(), progress=until_the_fifth_rung)
+    assert parts[-1] < 1.0 and not list(cache.glob("ladders/*"))
+
+    def again(*args: object, **kwargs: object) -> None:
+        raise AssertionError("the scan was simplified again")
+
+    monkeypatch.setattr(hapticlod.ladder, "collapse", again)
+    measured: list[int] = []
+    rms = hapticlod.ladder.ScanSurface.deviation
+
+    def counted(self: hapticlod.ladder.ScanSurface, *rung: Any) -> object:
+        measured.append(len(rung[1]))
+        return rms(self, *rung)
+
+    monkeypatch.setattr(hapticlod.ladder.ScanSurface, "deviation", counted)
+    prepared: list[hapticlod.ladder.Ladder] = []
+    store = kept.store
+
+    def seen(kind: str, key: str, value: object) -> None:
+        if isinstance(value, hapticlod.ladder.Ladder):
+            prepared.append(value)
+        store(kind, key, value)
+
+    monkeypatch.setattr(kept, "store", seen)
+    with pytest.raises(KeyboardInterrupt):
+        prepare(ball, station, point(), progress=_until_motions)
+    (ladder,) = prepared
+    for one, other in zip(ladder.rungs, whole.rungs, strict=True):
+        assert np.array_equal(one.vertices, other.vertices) and np.array_equal(one.faces, other.faces)
+        assert one.deviation == other.deviation
+    assert measured == [rung.triangles for rung in whole.rungs[6:]]
+    assert list(cache.glob("ladders/*")) and not list(cache.glob("ladder_pieces/*"))
+
+
+def _until_motions(stage: str, part: float) -> None:
+    if "motions" in stage:
+        raise KeyboardInterrupt

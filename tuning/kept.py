@@ -9,6 +9,8 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
+from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -78,6 +80,30 @@ def store(kind: str, key: str, value: Any) -> None:
         trim(path.parent)
     except Exception:  # a full or read-only disk must not stop a tuning run
         return
+
+
+class Pieces:
+    """A long piece of work in pieces, each kept when it is done: `hapticlod.ladder.Keep`. Once the whole is kept, the
+    pieces are of no use and should be dropped."""
+
+    def __init__(self, kind: str, key: str) -> None:
+        self._kind, self._key = kind, key
+        self._keys: list[str] = []
+
+    def __call__(self, name: str, make: Callable[[], Any]) -> Any:
+        key = key_of(self._key, name)
+        self._keys.append(key)
+        found = load(self._kind, key)
+        if found is None:
+            found = make()
+            store(self._kind, key, found)
+        return found
+
+    def drop(self) -> None:
+        """Forget all pieces that were asked for."""
+        for key in self._keys:
+            with suppress(OSError):
+                _path(self._kind, key).unlink(missing_ok=True)
 
 
 class _Hashing:

@@ -132,9 +132,11 @@ def prepare(
     ladder_key = kept.key_of("ladder", scan.digest, kept.code_digest())
     ladder = kept.load("ladders", ladder_key)
     if ladder is None:
-        ladder = ladder_of(scan, progress=told)
+        pieces = kept.Pieces("ladder_pieces", ladder_key)
+        ladder = ladder_of(scan, progress=told, keep=pieces)
         _ = ladder.rungs[-1].rms_mm
         kept.store("ladders", ladder_key, ladder)
+        pieces.drop()
     given = tuple(motion.digest for motion in motions or ())
     untouched = station.model_copy(update={"budget_us": 1.0, "memory_mb": 1.0, "name": "", "slowdown_reason": ""})
     key = kept.key_of("samples", scan.digest, tool.digest, untouched.model_dump_json(), given, seed, repr(felt),

@@ -35,7 +35,9 @@ std::vector<std::string> profile_folders() {
     }
     std::error_code error;
     const fs::path bin = fs::read_symlink("/proc/self/exe", error).parent_path();
-    // A source tree (build/release/hapticlod-station), a wheel in an environment, and a plain installation.
+    // A deployed release, a source tree (build/release/hapticlod-station), a wheel in an environment, and a plain
+    // installation.
+    folders.push_back((bin / "devices").lexically_normal());
     folders.push_back((bin / "../../configs/devices").lexically_normal());
     for (const fs::directory_entry& lib : fs::directory_iterator(bin / "../lib", error)) {
         if (lib.path().filename().string().starts_with("python3")) {

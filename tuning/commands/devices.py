@@ -82,8 +82,10 @@ def _only(profiles: list[tuple[Path, DeviceProfile]], serial: str) -> DeviceProf
     able = [(path, p) for path, p in profiles if any(matches(d, p) and serial in ("", d.serial) for d in there)]
     if len(profiles) == 1:
         return profiles[0][1]
+    if not able:
+        raise InputError("devices", "no profile knows a device that is there", "plug it in, or name its --profile")
     if len(able) != 1:
-        found = ", ".join(str(path) for path, _ in able) or "none"
+        found = ", ".join(str(path) for path, _ in able)
         raise InputError(
             "devices", f"{len(able)} profiles know a device that is there ({found})", "choose with --profile"
         )

@@ -81,6 +81,10 @@ def tune_command(
     key
         Secret key that signs the bundle. Default: your own; it is made the first time.
     """
+    if scan.suffix.lower() != ".toml":
+        from hapticlod.scan_file import check_mesh_file
+
+        check_mesh_file(scan)  # before anything that is slow to import
     from hapticlod.first_key import own_or_first_key
     from hapticlod.material_map import load_materials
     from hapticlod.motion import load_motion

@@ -50,7 +50,8 @@ class Package:
 
 
 def write_package(bundle: Path, path: Path, *, station: Path | None = None, trust: TrustedKey | None = None) -> Package:
-    """Check a bundle and write a package with it: bundle, station program, install script, unit, udev rules, digests.
+    """Check a bundle and write a package with it: bundle, station program, device profiles, install script,
+    unit, udev rules, digests.
 
     Equal contents give equal bytes. `trust` is a key that the station is to trust from then on.
 
@@ -66,6 +67,9 @@ def write_package(bundle: Path, path: Path, *, station: Path | None = None, trus
         "hapticlod-station.service": HERE / "hapticlod-station.service",
         "70-hapticlod.rules": shipped_config("devices/70-hapticlod.rules"),
     }
+    # Without them `DEVICE=native` would name nothing on a station.
+    profiles = sorted(shipped_config("devices/70-hapticlod.rules").parent.glob("*.toml"))
+    files |= {f"devices/{profile.name}": profile for profile in profiles}
     if trust is not None:
         files["trust.pub"] = f"{trust.line}\n".encode()
     sums = {name: _sha256(content) for name, content in sorted(files.items())}

@@ -200,7 +200,8 @@ install_package() {
 case $job in
     check)
         check
-        say "would do: $(linked current | sed 's/^$/nothing/') is current under $root"
+        now=$(linked current)
+        say "would do: ${now:-nothing} is current under $root"
         ;;
     install) install_package ;;
     rollback)
@@ -213,7 +214,8 @@ case $job in
     status)
         [ -e "$root/current" ] || fail "$root: has no current release; deploy one"
         say "current: $(linked current)$([ -e "$root/current/healthy" ] || printf ' (never came up)')"
-        say "previous: $(linked previous | sed 's/^$/none/')"
+        before=$(linked previous)
+        say "previous: ${before:-none}"
         say "bundle: $(HAPTICLOD_CONFIG=$root "$root/current/hapticlod-station" verify "$root/current/bundle.hlod" --accept-unsigned 2>&1 | tail -n 1)"
         [ -z "$service" ] || say "service: $(systemctl is-active "$service" || :)"
         ;;
