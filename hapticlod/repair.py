@@ -19,6 +19,9 @@ from hapticlod.welding import weld_equal, weld_near_borders
 DEGENERATE_HEIGHT_OF_EXTENT = 1e-7
 # Beyond this no scan is in mm: one stray vertex at 1e30 would leave every other vertex in a single cell.
 LARGEST_COORDINATE_MM = 1e9
+# A vertex so many times as far from the middle as nearly all others reach is a stray: levels are float32 about the
+# centre, and what is small beside a stray would count as flat.
+STRAY_OF_REACH = 1e3
 
 
 def clean(
@@ -35,7 +38,7 @@ def clean(
         input, bit for bit.
 
     Raises:
-        InputError: nothing usable is left, or a coordinate is beyond LARGEST_COORDINATE_MM.
+        InputError: nothing usable is left, a coordinate is beyond LARGEST_COORDINATE_MM, or a vertex is a stray.
     """
     count: dict[str, Any] = {}
     faces = faces.astype(np.int64)
@@ -49,6 +52,7 @@ def clean(
     source = np.flatnonzero(usable)
     faces = _some_left(faces[usable], where, "every face has a vertex that is NaN or infinite")
     _check_range(vertices, faces, where)
+    _check_strays(vertices, faces, where)
 
     vertices, faces = _compact(vertices, faces)
     keep, group = weld_equal(vertices)
@@ -140,6 +144,20 @@ def _check_range(vertices: np.ndarray, faces: np.ndarray, where: str) -> None:
             f"{where}, vertex {worst}",
             f"lies {largest[worst]:.3g} mm from the origin, beyond {LARGEST_COORDINATE_MM:.0e} mm",
             "delete the stray vertex, or state the right unit",
+        )
+
+
+def _check_strays(vertices: np.ndarray, faces: np.ndarray, where: str) -> None:
+    used = np.unique(faces)
+    low, middle, high = np.quantile(vertices[used], (0.05, 0.5, 0.95), axis=0)
+    reach_mm = float(np.maximum(high - middle, middle - low).max())
+    distance = np.abs(vertices[used] - middle).max(axis=1)
+    worst = int(distance.argmax())
+    if distance[worst] > STRAY_OF_REACH * reach_mm > 0.0:
+        raise InputError(
+            f"{where}, vertex {used[worst]}",
+            f"lies {distance[worst]:.3g} mm from the middle of the scan, which reaches {reach_mm:.3g} mm",
+            "delete the stray vertex, or the part that it belongs to",
         )
 
 

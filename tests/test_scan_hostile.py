@@ -120,6 +120,19 @@ def test_coordinates_far_beyond_any_scan_are_refused(where: float) -> None:
         scan_from_arrays(vertices, np.array([[0, 1, 2], [0, 1, 3]]))
 
 
+def test_a_stray_vertex_is_named_and_a_distant_part_is_not_one() -> None:
+    """Beside a vertex at 4 km a crop of millimetres would count as flat, and be mended by what reaches to the stray."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=3.0)
+    vertices = np.vstack([ball.vertices + [1e5, 0, 0], [[2.8e6, 0, 0]]])
+    faces = np.vstack([ball.faces, [[0, 1, len(vertices) - 1]]])
+    with pytest.raises(InputError, match=rf"vertex {len(vertices) - 1}: lies 2.7e\+06 mm from the middle of the scan"):
+        scan_from_arrays(vertices, faces)
+    speck = trimesh.creation.icosphere(subdivisions=0, radius=0.1)
+    both = np.vstack([ball.vertices, speck.vertices + [900.0, 0, 0]])
+    scan = scan_from_arrays(both, np.vstack([ball.faces, speck.faces + len(ball.vertices)]))
+    assert scan.triangles == len(ball.faces) + len(speck.faces)
+
+
 def test_one_triangle_and_very_many_loose_ones(tmp_path: Path) -> None:
     one = scan_from_arrays(np.eye(3), np.array([[0, 1, 2]]))
     assert (one.triangles, one.report.components) == (1, 1)

@@ -19,7 +19,7 @@ from hapticlod.dentition import make_dentition
 from hapticlod.errors import InputError
 from hapticlod.ladder import build_ladder
 from hapticlod.motion import Motion
-from hapticlod.repair import DEGENERATE_HEIGHT_OF_EXTENT, LARGEST_COORDINATE_MM
+from hapticlod.repair import DEGENERATE_HEIGHT_OF_EXTENT, LARGEST_COORDINATE_MM, STRAY_OF_REACH
 from hapticlod.replay import replay
 from hapticlod.scan import Scan, load_scan
 from hapticlod.tool import ball
@@ -68,6 +68,10 @@ def judge_refusal(refused: InputError, vertices: np.ndarray, faces: np.ndarray) 
     far = np.abs(vertices[faces[np.isfinite(vertices[faces]).all(axis=(1, 2))]]).max(initial=0.0)
     if "from the origin" in str(refused):
         assert far > LARGEST_COORDINATE_MM
+    elif "from the middle of the scan" in str(refused):
+        corners = vertices[faces[np.isfinite(vertices[faces]).all(axis=(1, 2))]].reshape(-1, 3)
+        away = np.sort(np.linalg.norm(corners - np.median(corners, axis=0), axis=1))
+        assert away[-1] > 0.5 * STRAY_OF_REACH * away[int(0.9 * len(away))]
     else:
         assert len(usable) == 0, str(refused)
 
