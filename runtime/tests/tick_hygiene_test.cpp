@@ -227,7 +227,7 @@ TEST(Watch, CountsWhatItIsMeantToCount) {
 class TickHygiene : public testing::TestWithParam<std::tuple<Mapping, bool, bool>> {};
 
 #if defined(HAPTICLOD_SANITIZED)
-constexpr std::size_t kTicks = 3'000;
+constexpr std::size_t kTicks = 2'000;
 #else
 constexpr std::size_t kTicks = 10'000;
 #endif
