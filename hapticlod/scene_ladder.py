@@ -66,10 +66,20 @@ class SceneRung(MeasuredRung):
         """Mean length of the sides of all faces."""
         return sum(rung.mean_edge_mm * rung.triangles for rung in self.parts) / self.triangles
 
+    @property
+    def area_mm2(self) -> float:
+        """Area of all faces."""
+        return sum(rung.area_mm2 for rung in self.parts)
+
+    @property
+    def components(self) -> int:
+        """How many pieces the faces form: those of every part, which share no vertices."""
+        return sum(rung.components for rung in self.parts)
+
     @cached_property
     def deviation(self) -> Deviation:
         """Of all parts: squares weighted by area, the greatest distance, turned area over area."""
-        areas = np.array([_area(rung) for rung in self.parts])
+        areas = np.array([rung.area_mm2 for rung in self.parts])
         each = [rung.deviation for rung in self.parts]
         weight = areas / areas.sum()
         return Deviation(
@@ -77,11 +87,6 @@ class SceneRung(MeasuredRung):
             max(d.hausdorff_mm for d in each),
             float(sum(w * d.turned_part for w, d in zip(weight, each, strict=True))),
         )
-
-
-def _area(rung: Rung) -> float:
-    a, b, c = (rung.vertices[rung.faces[:, k]] for k in range(3))
-    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from hapticlod.scene import Scene, rotation_matrix
 from hapticlod.scene_file import load_scene
 from hapticlod.scene_ladder import SceneRung, ladder_of
 from hapticlod.tool import ball
+from tuning.deliver import ladder_document
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +100,10 @@ def test_rungs_show_one_share_of_every_part_within_its_bounds(scene: Scene) -> N
         assert rung.faces.max() < len(rung.vertices)
     counts = [rung.triangles for rung in ladder.rungs]
     assert counts == sorted(counts, reverse=True)
+    told = ladder_document(ladder)["rungs"]
+    assert [rung["triangles"] for rung in told] == counts
+    assert told[0]["area_part"] == 1.0 and all(0.9 < rung["area_part"] < 1.01 for rung in told)
+    assert all(rung["components"] == 2 for rung in told)
     middle = ladder.at(700)
     assert 650 <= middle.triangles <= 700
     assert ladder.at(middle.triangles) is middle
