@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -51,8 +52,7 @@ def clean(
     count["unused_vertices"] = _all_fixed((~used & finite).sum())
     source = np.flatnonzero(usable)
     faces = _some_left(faces[usable], where, "every face has a vertex that is NaN or infinite")
-    _check_range(vertices, faces, where)
-    _check_strays(vertices, faces, where)
+    _check_places(vertices, faces, where)
 
     vertices, faces = _compact(vertices, faces)
     keep, group = weld_equal(vertices)
@@ -134,31 +134,35 @@ def _some_left(faces: np.ndarray, where: str, what: str) -> np.ndarray:
     return faces
 
 
-def _check_range(vertices: np.ndarray, faces: np.ndarray, where: str) -> None:
-    used = np.zeros(len(vertices), dtype=bool)
-    used[faces.ravel()] = True
-    largest = np.where(used, np.maximum.reduce([np.abs(vertices[:, k]) for k in range(3)]), 0.0)
-    worst = int(largest.argmax())
-    if largest[worst] > LARGEST_COORDINATE_MM:
-        raise InputError(
-            f"{where}, vertex {worst}",
-            f"lies {largest[worst]:.3g} mm from the origin, beyond {LARGEST_COORDINATE_MM:.0e} mm",
-            "delete the stray vertex, or state the right unit",
-        )
-
-
-def _check_strays(vertices: np.ndarray, faces: np.ndarray, where: str) -> None:
-    used = np.unique(faces)
-    low, middle, high = np.quantile(vertices[used], (0.05, 0.5, 0.95), axis=0)
-    reach_mm = float(np.maximum(high - middle, middle - low).max())
-    distance = np.abs(vertices[used] - middle).max(axis=1)
-    worst = int(distance.argmax())
-    if distance[worst] > STRAY_OF_REACH * reach_mm > 0.0:
+def _check_places(vertices: np.ndarray, faces: np.ndarray, where: str) -> None:
+    """Raise InputError naming the vertex that lies beyond what a scan can be, or a thousand times beyond the others."""
+    mask = np.zeros(len(vertices), dtype=bool)
+    mask[faces.ravel()] = True
+    used = np.flatnonzero(mask)
+    columns = [vertices[used, k] for k in range(3)]
+    far, worst = _farthest(columns, (0.0, 0.0, 0.0))
+    if far > LARGEST_COORDINATE_MM:
         raise InputError(
             f"{where}, vertex {used[worst]}",
-            f"lies {distance[worst]:.3g} mm from the middle of the scan, which reaches {reach_mm:.3g} mm",
+            f"lies {far:.3g} mm from the origin, beyond {LARGEST_COORDINATE_MM:.0e} mm",
+            "delete the stray vertex, or state the right unit",
+        )
+    spans = [np.quantile(column, (0.05, 0.5, 0.95)) for column in columns]
+    reach_mm = max(float(max(high - middle, middle - low)) for low, middle, high in spans)
+    far, worst = _farthest(columns, [float(middle) for _, middle, _ in spans])
+    if far > STRAY_OF_REACH * reach_mm > 0.0:
+        raise InputError(
+            f"{where}, vertex {used[worst]}",
+            f"lies {far:.3g} mm from the middle of the scan, which reaches {reach_mm:.3g} mm",
             "delete the stray vertex, or the part that it belongs to",
         )
+
+
+def _farthest(columns: Sequence[np.ndarray], origin: Sequence[float]) -> tuple[float, int]:
+    """Greatest distance along an axis of points, given by their coordinates (n,), from the origin; and whose it is."""
+    distance = np.maximum.reduce([np.abs(x - at) for x, at in zip(columns, origin, strict=True)])
+    worst = int(distance.argmax())
+    return float(distance[worst]), worst
 
 
 def _compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

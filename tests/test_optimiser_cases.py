@@ -7,7 +7,7 @@ from surrogate_cases import few_starts, made_measurement, made_space
 from benchmarks.optimiser_cases import CLOSE, compared
 from tuning.search import Search
 
-BUDGETS_US = (200.0, 260.0)
+BUDGETS_US = (200.0, 260.0, 400.0)
 
 
 @pytest.mark.parametrize("seed", [0])

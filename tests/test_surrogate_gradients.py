@@ -1,6 +1,5 @@
 """Every metric, differentiated in every continuous parameter: against float64 differences; jit, jvp and vmap apart."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,9 +7,7 @@ import pytest
 from surrogate_cases import made_measurement
 
 from hapticlod.metrics import METRIC_KEYS
-from hapticlod.surrogate.cost import tick_costs
-from hapticlod.surrogate.surrogate import level_places, predict
-from hapticlod.surrogate.switching import Switching, filtered_speed_mm_s, soft_switching
+from hapticlod.surrogate.surrogate import predict
 from tuning.space import decode, split
 
 LEVELS, MOST = 3, 4
@@ -113,24 +110,6 @@ def test_a_batch_is_its_members(model):
     np.testing.assert_allclose(batch, alone, rtol=1e-9, atol=1e-12)
 
 
-def test_compiled_is_what_is_written():
-    """The loop cost, which every search is held to: operation by operation, as no other test does it."""
-
-    def limit_us(point, measured):
-        parameters = decode(point, jnp.asarray(LEVELS), MOST)
-        speed = filtered_speed_mm_s(measured.velocity_mm_s, measured.starts, parameters.filter_hz, measured.tick_s)
-        switching = soft_switching(
-            speed, measured.starts, parameters.reachable_log_speeds, parameters.hysteresis, SHARPNESS
-        )
-        per_bin = lambda x: x.reshape(len(x), -1, measured.ticks_per_bin).sum(axis=2)
-        bins = Switching(*(per_bin(x) for x in (switching.weights, switching.up, switching.down)))
-        where = level_places(measured, parameters)
-        reach = jnp.maximum(parameters.log_l_in, parameters.log_l_out)
-        costs, _, _ = tick_costs(measured.cost, where, parameters.log_cell_edges, bins, reach, parameters.log_triangles)
-        return costs.quantiles_us((0.5, 0.999), measured.cost.spread)
-
+def test_compiled_is_what_is_written(plain, model):
     with jax.enable_x64(True):
-        asked = jnp.asarray(POINT), made_measurement()
-        written = limit_us(*asked)
-        assert 0 < written[0] < written[1]
-        np.testing.assert_allclose(eqx.filter_jit(limit_us)(*asked), written, rtol=1e-9)
+        np.testing.assert_allclose(model(jnp.asarray(POINT)), plain(jnp.asarray(POINT)), rtol=1e-9, atol=1e-12)
