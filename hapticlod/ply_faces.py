@@ -88,10 +88,11 @@ def _places(body: memoryview, vertex: Element, order: str) -> np.ndarray:
     """(n, 3) in the file's unit."""
     ends = np.cumsum([p.value_bytes for p in vertex.properties]).tolist()
     held = {p.name: (p, end - p.value_bytes) for p, end in zip(vertex.properties, ends, strict=True)}
+    rows = np.frombuffer(body, np.uint8, ends[-1] * vertex.count).reshape(vertex.count, ends[-1])
     columns = []
     for p, at in (held[axis] for axis in "xyz"):
-        row = {"names": ["at"], "formats": [f"{order}{p.letter}{p.value_bytes}"], "offsets": [at], "itemsize": ends[-1]}
-        columns.append(np.frombuffer(body, np.dtype(row), vertex.count)["at"])
+        column = np.ascontiguousarray(rows[:, at : at + p.value_bytes])
+        columns.append(column.view(f"{order}{p.letter}{p.value_bytes}")[:, 0])
     return np.stack(columns, axis=1)
 
 
