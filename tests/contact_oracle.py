@@ -15,27 +15,46 @@ import numpy as np
 SKIN_OF_EXTENT = 4e-6
 
 
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(m, 3) cross products; np.cross spends more on small arrays than all else here."""
+    x, y, z = a[:, 0], a[:, 1], a[:, 2]
+    u, v, w = b[:, 0], b[:, 1], b[:, 2]
+    product = np.empty((len(a), 3))
+    product[:, 0], product[:, 1], product[:, 2] = y * w - z * v, z * u - x * w, x * v - y * u
+    return product
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(...) dot products of the last axes."""
+    return np.einsum("...j,...j->...", a, b)
+
+
+def edges_of(triangles: np.ndarray) -> np.ndarray:
+    """(m, 3, 3): from each corner to the next one."""
+    return triangles[:, [1, 2, 0]] - triangles
+
+
 def closest_points(triangles: np.ndarray, p: np.ndarray) -> np.ndarray:
     """(m, 3) closest point of each triangle (m, 3, 3) to p (3,) or (m, 3)."""
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    normal = np.cross(b - a, c - a)
-    area2 = np.einsum("ij,ij->i", normal, normal)
+    a, edge = triangles[:, 0], edges_of(triangles)
+    back = -edge[:, 2]  # from the first corner to the last
+    normal = cross(edge[:, 0], back)
+    area2 = dot(normal, normal)
     safe = np.where(area2 > 0.0, area2, 1.0)
     ap = p - a
-    u = np.einsum("ij,ij->i", np.cross(ap, c - a), normal) / safe
-    v = np.einsum("ij,ij->i", np.cross(b - a, ap), normal) / safe
+    u = dot(cross(ap, back), normal) / safe
+    v = dot(cross(edge[:, 0], ap), normal) / safe
     inside = (area2 > 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
-    height = np.einsum("ij,ij->i", ap, normal) / safe
-    best = np.where(inside[:, None], p - normal * height[:, None], 0.0)
-    best2 = np.where(inside, np.einsum("ij,ij->i", p - best, p - best), np.inf)
-    for start, end in ((a, b), (b, c), (c, a)):
-        edge = end - start
-        length2 = np.einsum("ij,ij->i", edge, edge)
-        t = np.einsum("ij,ij->i", p - start, edge) / np.where(length2 > 0.0, length2, 1.0)
-        q = start + edge * np.clip(t, 0.0, 1.0)[:, None]
-        d2 = np.einsum("ij,ij->i", p - q, p - q)
-        nearer = ~inside & (d2 < best2)
-        best[nearer], best2[nearer] = q[nearer], d2[nearer]
+    best = p - normal * (dot(ap, normal) / safe)[:, None]
+    out = np.flatnonzero(~inside)
+    if len(out):
+        start, edge = triangles[out], edge[out]
+        away = (p if p.ndim == 1 else p[out][:, None]) - start
+        length2 = dot(edge, edge)
+        t = dot(away, edge) / np.where(length2 > 0.0, length2, 1.0)
+        rest = away - edge * np.clip(t, 0.0, 1.0)[..., None]  # (o, 3, 3): from each edge's nearest point to p
+        nearest = np.argmin(dot(rest, rest), axis=1)
+        best[out] = (p if p.ndim == 1 else p[out]) - rest[np.arange(len(out)), nearest]
     return best
 
 
@@ -54,42 +73,40 @@ def _first_root(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 def touch_times(triangles: np.ndarray, keep: np.ndarray, x: np.ndarray, step: np.ndarray) -> np.ndarray:
     """(m,) first t >= 0 at which x + t step comes within keep (m,) of each triangle; inf where it never does."""
-    times = np.full(len(triangles), np.inf)
-    corners = [triangles[:, k] for k in range(3)]
-    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    area2 = np.einsum("ij,ij->i", normal, normal)
+    edge = edges_of(triangles)
+    first, back = triangles[:, 0], -edge[:, 2]
+    normal = cross(edge[:, 0], back)
+    area2 = dot(normal, normal)
     flat = area2 > 0.0
-    unit = normal / np.sqrt(np.where(flat, area2, 1.0))[:, None]
-    height = np.einsum("ij,ij->i", x - corners[0], unit)
+    safe = np.where(flat, area2, 1.0)
+    unit = normal / np.sqrt(safe)[:, None]
+    height = dot(x - first, unit)
     fall = unit @ step
+    times = np.full(len(triangles), np.inf)
     for sign in (1.0, -1.0):
         approaching = flat & (sign * fall < 0.0)
         t = np.where(approaching, (sign * keep - height) / np.where(approaching, fall, 1.0), np.inf)
         t = np.where(t >= 0.0, t, np.inf)
-        foot = x + np.where(np.isfinite(t), t, 0.0)[:, None] * step - unit * (sign * keep)[:, None] - corners[0]
-        u = np.einsum("ij,ij->i", np.cross(foot, corners[2] - corners[0]), normal) / np.where(flat, area2, 1.0)
-        v = np.einsum("ij,ij->i", np.cross(corners[1] - corners[0], foot), normal) / np.where(flat, area2, 1.0)
+        foot = x + np.where(np.isfinite(t), t, 0.0)[:, None] * step - unit * (sign * keep)[:, None] - first
+        u = dot(cross(foot, back), normal) / safe
+        v = dot(cross(edge[:, 0], foot), normal) / safe
         times = np.minimum(times, np.where((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0), t, np.inf))
-    for k in range(3):
-        start, edge = corners[k], corners[(k + 1) % 3] - corners[k]
-        m = x - start
-        t = _first_root(np.full(len(m), step @ step), m @ step, np.einsum("ij,ij->i", m, m) - keep * keep)
-        times = np.minimum(times, np.where(t >= 0.0, t, np.inf))
-        length2 = np.einsum("ij,ij->i", edge, edge)
-        safe = np.where(length2 > 0.0, length2, 1.0)
-        along_m, along_step = np.einsum("ij,ij->i", m, edge) / safe, (edge @ step) / safe
-        across_m, across_step = m - along_m[:, None] * edge, step - along_step[:, None] * edge
-        t = _first_root(
-            np.einsum("ij,ij->i", across_step, across_step),
-            np.einsum("ij,ij->i", across_m, across_step),
-            np.einsum("ij,ij->i", across_m, across_m) - keep * keep,
-        )
-        s = along_m + np.where(np.isfinite(t), t, 0.0) * along_step
-        times = np.minimum(times, np.where((length2 > 0.0) & (t >= 0.0) & (s >= 0.0) & (s <= 1.0), t, np.inf))
+    # Corners are balls, edges cylinders between them.
+    m, keep2 = x - triangles, (keep * keep)[:, None]
+    t = _first_root(np.full(m.shape[:2], step @ step), m @ step, dot(m, m) - keep2)
+    times = np.minimum(times, np.where(t >= 0.0, t, np.inf).min(axis=1))
+    length2 = dot(edge, edge)
+    safe = np.where(length2 > 0.0, length2, 1.0)
+    along_m, along_step = dot(m, edge) / safe, (edge @ step) / safe
+    across_m, across_step = m - along_m[..., None] * edge, step - along_step[..., None] * edge
+    t = _first_root(dot(across_step, across_step), dot(across_m, across_step), dot(across_m, across_m) - keep2)
+    s = along_m + np.where(np.isfinite(t), t, 0.0) * along_step
+    held = (length2 > 0.0) & (t >= 0.0) & (s >= 0.0) & (s <= 1.0)
+    times = np.minimum(times, np.where(held, t, np.inf).min(axis=1))
     # Already nearer than keep: distance to a convex set is convex, so it blocks at once or never.
     here = closest_points(triangles, x)
     d = np.linalg.norm(x - here, axis=1)
-    slope = np.einsum("ij,j->i", x - here, step)
+    slope = (x - here) @ step
     return np.where(d <= keep, np.where(slope < 0.0, 0.0, np.inf), times)
 
 
