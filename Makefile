@@ -58,8 +58,8 @@ product: configure  ## the station and the Python module alone
 # Fetching packages and checking types keep one core busy: the sanitized build and the C++ tests have the other meanwhile.
 test: tools  ## everything CI runs
 	@$(MAKE) --no-print-directory --output-sync=target -j 2 build test-sanitized-build
-	@$(MAKE) --no-print-directory --output-sync=target -j 2 lint test-sanitized
-	@$(MAKE) --no-print-directory test-cpp test-python
+	@$(MAKE) --no-print-directory --output-sync=target -j 3 lint test-sanitized test-cpp
+	@$(MAKE) --no-print-directory test-python
 
 test-cpp: build  ## C++ tests, release build
 	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error -j 2
