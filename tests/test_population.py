@@ -18,6 +18,7 @@ from tuning.population import check_over, measured_each, measured_over, over_mot
 from tuning.search import Limits, Search
 from tuning.space import decode
 
+pytestmark = pytest.mark.slow
 MOTIONS = 2
 LIMITS = Limits(220.0, 100.0)
 SPACE = made_space()
