@@ -9,7 +9,8 @@ unexport PYTHONDONTWRITEBYTECODE
 
 BIN := .venv/bin
 # ninja cannot take part in make's own sharing of jobs, and says so at length.
-BUILD := MAKEFLAGS= cmake --build
+# As many compilers as cores: two trees are built at the same time, and with ninja's own two more each they wait for each other's memory.
+BUILD := MAKEFLAGS= cmake --build --parallel $(shell nproc 2>/dev/null || echo 2)
 RELEASE := build/release
 SANITIZED := build/sanitized
 # The sanitized build is also the second compiler's: clang where there is one.

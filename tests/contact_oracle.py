@@ -29,6 +29,11 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("...j,...j->...", a, b)
 
 
+def length(a: np.ndarray) -> np.ndarray:
+    """(...) lengths of the last axis."""
+    return np.sqrt(dot(a, a))
+
+
 def edges_of(triangles: np.ndarray) -> np.ndarray:
     """(m, 3, 3): from each corner to the next one."""
     return triangles[:, [1, 2, 0]] - triangles
@@ -60,7 +65,7 @@ def closest_points(triangles: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 def distances(triangles: np.ndarray, p: np.ndarray) -> np.ndarray:
     """(m,) distance of each triangle to p."""
-    return np.linalg.norm(p - closest_points(triangles, p), axis=1)
+    return length(p - closest_points(triangles, p))
 
 
 def _first_root(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -71,8 +76,13 @@ def _first_root(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     return np.where(ok, c / np.where(ok, -b + np.sqrt(np.maximum(disc, 0.0)), 1.0), np.inf)
 
 
-def touch_times(triangles: np.ndarray, keep: np.ndarray, x: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """(m,) first t >= 0 at which x + t step comes within keep (m,) of each triangle; inf where it never does."""
+def touch_times(
+    triangles: np.ndarray, keep: np.ndarray, x: np.ndarray, step: np.ndarray, here: np.ndarray | None = None
+) -> np.ndarray:
+    """(m,) first t >= 0 at which x + t step comes within keep (m,) of each triangle; inf where it never does.
+
+    `here`: (m, 3) the triangles' closest points to x, where they are known.
+    """
     edge = edges_of(triangles)
     first, back = triangles[:, 0], -edge[:, 2]
     normal = cross(edge[:, 0], back)
@@ -104,8 +114,8 @@ def touch_times(triangles: np.ndarray, keep: np.ndarray, x: np.ndarray, step: np
     held = (length2 > 0.0) & (t >= 0.0) & (s >= 0.0) & (s <= 1.0)
     times = np.minimum(times, np.where(held, t, np.inf).min(axis=1))
     # Already nearer than keep: distance to a convex set is convex, so it blocks at once or never.
-    here = closest_points(triangles, x)
-    d = np.linalg.norm(x - here, axis=1)
+    here = closest_points(triangles, x) if here is None else here
+    d = length(x - here)
     slope = (x - here) @ step
     return np.where(d <= keep, np.where(slope < 0.0, 0.0, np.inf), times)
 
@@ -131,7 +141,7 @@ def nearest_point(normals: np.ndarray, offsets: np.ndarray, target: np.ndarray, 
         lift = np.linalg.solve(gram, (offsets[sets] - n @ target)[..., None])[..., 0]
         y = target + np.einsum("sk,skj->sj", lift, n)
         feasible = (y @ normals.T >= offsets - tolerance).all(axis=1)
-        far = np.where(feasible, np.linalg.norm(y - target, axis=1), np.inf)
+        far = np.where(feasible, length(y - target), np.inf)
         i = int(np.argmin(far))
         if far[i] < least - 1e-15:
             best, active, least = y[i], tuple(int(k) for k in sets[i]), far[i]
@@ -161,13 +171,13 @@ class Oracle:
         self.radii = np.asarray(balls, dtype=np.float64)[:, 3]
         self.kept = np.maximum(self.radii, crack_mm) + self.skin
         self.middle = self.triangles.mean(axis=1)
-        self.size = np.linalg.norm(self.triangles - self.middle[:, None], axis=2).max(axis=1)
+        self.size = length(self.triangles - self.middle[:, None]).max(axis=1)
 
     def items(self, centre: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Every (triangle - ball offset) that the reference point could touch within reach of centre, by a bound."""
         triangles, kept, radii = [], [], []
         for offset, keep, radius in zip(self.offsets, self.kept, self.radii, strict=True):
-            gap = np.linalg.norm(self.middle - offset - centre, axis=1) - self.size
+            gap = length(self.middle - offset - centre) - self.size
             near = np.flatnonzero(gap <= reach + keep)
             triangles.append(self.triangles[near] - offset)
             kept.append(np.full(len(near), keep))
@@ -179,11 +189,13 @@ class Oracle:
         triangles, _, radii = self.items(x, reach)
         return float((distances(triangles, x) - radii).min()) if len(triangles) else np.inf
 
-    def planes(self, items: tuple[np.ndarray, np.ndarray, np.ndarray], x: np.ndarray) -> tuple:
-        """Normals, offsets and slacks of what is touched at x, nearest first, without what they already separate."""
+    def planes(self, items: tuple[np.ndarray, np.ndarray, np.ndarray], c: np.ndarray, x: np.ndarray) -> tuple:
+        """Normals, offsets and slacks of what is touched at x, nearest first, without what they already separate.
+
+        `c`: (m, 3) the closest points to x.
+        """
         triangles, kept, radii = items
-        c = closest_points(triangles, x)
-        d = np.linalg.norm(x - c, axis=1)
+        d = length(x - c)
         touched = np.flatnonzero((d - kept <= self.skin) & (d > 0.0))
         normals: list[np.ndarray] = []
         offsets: list[float] = []
@@ -209,7 +221,7 @@ class Oracle:
             if not len(triangles):
                 break
             c = closest_points(triangles, x)
-            d = np.linalg.norm(x - c, axis=1)
+            d = length(x - c)
             i = int(np.argmin(d - kept))
             if d[i] - kept[i] >= -1e-3 * self.skin or d[i] == 0.0:
                 break
@@ -226,7 +238,8 @@ class Oracle:
         normals, offsets, slacks = walls = (np.zeros((0, 3)), np.zeros(0), np.zeros(0))
         last_step = np.zeros(3)
         for k in range(most):
-            normals, offsets, slacks = self.planes(items, x)
+            here = closest_points(triangles, x)
+            normals, offsets, slacks = self.planes(items, here, x)
             y, active = nearest_point(normals, offsets, hip, 1e-5 * self.skin)
             if y is None:
                 break
@@ -241,7 +254,7 @@ class Oracle:
             if np.linalg.norm(step) <= 2e-3 * self.skin:
                 settled = True
                 break
-            t = float(min(touch_times(triangles, kept - 0.1 * self.skin, x, step).min(initial=1.0), 1.0))
+            t = float(min(touch_times(triangles, kept - 0.1 * self.skin, x, step, here).min(initial=1.0), 1.0))
             x = x + t * step
             if t == 1.0 and not len(normals):
                 settled = True
@@ -267,7 +280,7 @@ class Oracle:
         seen_from = scp + pull * (self.skin / depth)
         triangles, _, radii = self.items(seen_from, 3.0 * self.skin)
         c = closest_points(triangles, seen_from) if len(triangles) else np.zeros((0, 3))
-        d = np.linalg.norm(seen_from - c, axis=1)
+        d = length(seen_from - c)
         held = (d - radii < 3.0 * self.skin) & (d > 0.0)
         if not held.any():
             return 1.0
