@@ -10,7 +10,7 @@ unexport PYTHONDONTWRITEBYTECODE
 BIN := .venv/bin
 # ninja cannot take part in make's own sharing of jobs, and says so at length.
 # As many compilers as cores: two trees are built at the same time, and with ninja's own two more each they wait for each other's memory.
-BUILD := MAKEFLAGS= cmake --build --parallel $(shell nproc 2>/dev/null || echo 2)
+BUILD := MAKEFLAGS= CMAKE_BUILD_PARALLEL_LEVEL=$(shell nproc 2>/dev/null || echo 2) cmake --build
 RELEASE := build/release
 SANITIZED := build/sanitized
 # The sanitized build is also the second compiler's: clang where there is one.
@@ -75,7 +75,7 @@ test-sanitized-build: tools
 test-sanitized: test-sanitized-build  ## C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer, short fuzzing
 	@ctest --test-dir $(SANITIZED) --output-on-failure --no-tests=error -j 2
 
-THREADED := station_telemetry_test station_hid_faults_test station_loop_test
+THREADED := station_tests station_hid_tests
 test-threads: setup  ## loop, writer, telemetry under ThreadSanitizer
 	@mkdir -p build
 	@cmake -S . -B build/threads $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \
