@@ -53,9 +53,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Keep float64 on, even where a module under test switched it off."""
+    """Keep float64 on, even where a module under test switched it off, and keep what is compiled for all processes."""
     if "jax" in sys.modules:
         sys.modules["jax"].config.update("jax_enable_x64", True)
+    if "tuning.compile_cache" in sys.modules:
+        sys.modules["tuning.compile_cache"].keep_compiled()
 
 
 DATA = Path(os.environ.get("HAPTICLOD_DATA") or REPOSITORY.parent / "shared" / "data")
