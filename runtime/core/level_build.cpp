@@ -88,7 +88,11 @@ constexpr double kMostLoose = 0.35;
 
 // What a mesh from anywhere may ask for: its coordinates' products stay finite, listing its triangles ends.
 constexpr double kMostExtent = 1e15;
+#ifdef HAPTICLOD_FEW_BLOCKS  // fuzzing: not a second each for bundles of a few huge triangles
+constexpr double kMostVisited = 16384.0;
+#else
 constexpr double kMostVisited = 16777216.0;  // and more by the triangle: a second of work at most
+#endif
 constexpr double kMostVisitedEach = 1024.0;
 
 // Triangles along a Morton curve through their first corners: least-significant-digit radix sort of 30-bit keys.
