@@ -233,22 +233,22 @@ double Renderer::State::accept_pose(const Pose& pose, double now_s, TickCounters
 void Renderer::State::touch(std::uint32_t level, const Vec3& target, const Vec3& motion, TickCounters& counters) {
     const bool held = contact.active > 0;
     const Vec3 from = solver.position(), anchor = contact.scp;
-    Contact free = solver.advance(target, tool(level), motion, counters);
+    solver.advance(target, tool(level), motion, counters, contact);
     bool stuck = false;
-    if (felt.friction_static > 0.0 && held && free.active > 0) {
-        const double depth = norm(free.scp - target), pull = norm(free.scp - anchor);
+    if (felt.friction_static > 0.0 && held && contact.active > 0) {
+        const double depth = norm(contact.scp - target), pull = norm(contact.scp - anchor);
         if (pull <= felt.friction_static * depth) {
             solver.place(from);
-            free.scp = anchor;
+            contact.scp = anchor;
             stuck = true;
         } else if (felt.friction_dynamic > 0.0 && pull > 0.0) {
             const double trail = std::min(felt.friction_dynamic * depth / pull, 1.0);
             solver.place(from);
-            const Contact slid = solver.advance(target + (anchor - free.scp) * trail, tool(level), motion, counters);
-            if (slid.active > 0) free = slid;
+            Contact slid;
+            solver.advance(target + (anchor - contact.scp) * trail, tool(level), motion, counters, slid);
+            if (slid.active > 0) contact = slid;
         }
     }
-    contact = free;
     shade = {};
     if (contact.active == 0) return;
     if (contact.between) return;
