@@ -158,8 +158,7 @@ bool ContactSolver::glide_on(const Vec3& hip, const SolverBall& ball, const Vec3
         const double depth = ball.kept - dot(normal, target - face_.corners.a);
         if (depth <= least) return false;  // it lets go
         const Vec3 y = target + normal * depth;
-        const auto look = [&](const Vec3& from) {
-            const Vec3 ahead = (motion - normal * dot(normal, motion)) * kAhead;
+        const auto look = [&](const Vec3& from, const Vec3& ahead) {
             return paused_ == 0 && norm2(ahead) <= kFarthest * kFarthest * cell_mm_ * cell_mm_ &&
                    find_face(from, ahead, ball, counters);
         };
@@ -167,7 +166,7 @@ bool ContactSolver::glide_on(const Vec3& hip, const SolverBall& ball, const Vec3
             const double height = dot(normal, at - face_.corners.a);
             if (!(height > 0.0) || height - ball.kept > touching || !face_.below(at) || !face_.covers(at, touching) ||
                 !face_.covers(y, touching)) {
-                if (!look(at)) return false;
+                if (!look(at, (y - at) * kAhead)) return false;
                 found_here = true;
                 continue;
             }
@@ -180,7 +179,7 @@ bool ContactSolver::glide_on(const Vec3& hip, const SolverBall& ball, const Vec3
         x_ += step;
         path_ += norm(step);
         if (!face_.below(y)) {
-            if (!look(y)) return false;
+            if (!look(y, (motion - normal * dot(normal, motion)) * kAhead)) return false;
             found_here = true;
             continue;
         }

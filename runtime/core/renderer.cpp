@@ -294,14 +294,14 @@ Vec3 Renderer::State::force(const Vec3& pulled_to) const {
 void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
     const FlushDenormals flush;
     State& s = *state_;
-    out = TickRecord{};
-    out.time_s = time_s;
     TickCounters counters;
     const Vec3 last_hip = s.hip;
     const bool first = !s.started;
     if (s.scene_changes) s.change_scene(counters);
     const double dt = s.accept_pose(pose, time_s, counters);
     if (!s.started && (counters.errors & kErrHipNotFinite) != 0) {
+        out = TickRecord{};
+        out.time_s = time_s;
         out.errors = counters.errors;
         return;
     }
@@ -339,11 +339,14 @@ void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
         torque += cross(s.contact.planes[i].point - s.contact.scp,
                         s.contact.planes[i].normal * (s.contact.multiplier[i] * s.felt.stiffness_n_mm));
     const Vec3 origin = load3(s.config.origin_mm);
+    // Every field: to clear the record first would take longer.
+    out.time_s = time_s;
     (s.hip + origin).store(out.hip_mm);
     (scp + origin).store(out.scp_mm);
     force.store(out.force_n);
     torque.store(out.torque_n_mm);
     out.speed_mm_s = static_cast<float>(speed_mm_s);
+    out.cost_ns = 0.0f;
     out.level = static_cast<std::uint8_t>(level);
     out.contact = s.contact.active > 0 ? 1 : 0;
     out.mapping = static_cast<std::uint8_t>(outcome);
