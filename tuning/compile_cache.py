@@ -1,12 +1,13 @@
 """Compiled surrogates are kept between runs: the second scan of a shape neither traces nor compiles again.
 
-Two caches. The executable itself lies under the hash of everything it depends on, and is read back without tracing,
-which would take seconds. jax's own cache, keyed by the program that tracing gives, serves where a line of ours that
-changed nothing in the program made the first one miss.
+An executable lies under the hash of its program, and the program's hash under that of all that the program is made
+from: a line of ours that changed nothing in it costs one tracing. jax's own cache is not used: an executable that came
+from there cannot be written a second time (jax 0.10: functions are missing when it is called; docs/decisions.md D93).
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 from collections.abc import Callable
@@ -21,12 +22,13 @@ import jax
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
 from tuning import kept
-from tuning.user_cache import cache_folder
 
 # XLA's fusion emitters double the time of code generation on a CPU, and its higher levels of optimisation add another
 # half; what they make of the surrogate and its slopes runs no faster (measured; docs/decisions.md D20, D56). Options of
 # a backend that is not there are refused, so only on a CPU.
 _CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
+
+_keeping = False
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -51,37 +53,56 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def keep_compiled() -> None:
-    """Turns jax's persistent compilation cache on, unless the user has set one of their own."""
-    if getattr(jax.config, "jax_compilation_cache_dir", None) is None:
-        folder = cache_folder() / "compiled"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            return  # no place to keep anything: compile each time
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    """From now on executables are kept in the user's cache."""
+    global _keeping
+    _keeping = True
 
 
 def _executable(function: Callable[..., Any], leaves: list, tree: Any, fixed: Any, signature: Any) -> Any:
-    """From the user's cache, or compiled and kept there. Where nothing is to be kept, jax's cache is off, too."""
-    keeping = getattr(jax.config, "jax_compilation_cache_dir", None) is not None
-    named = f"{function.__module__}.{function.__qualname__}"
-    key = kept.key_of("executable", named, signature, kept.code_digest(), *_backend()) if keeping else ""
-    stored = kept.load("executables", key) if keeping else None
-    if stored is not None:
-        try:
-            _load_linear_algebra()
-            return deserialize_and_load(*stored)
-        except Exception:  # of an XLA that is not quite the same: as good as absent
-            stored = None
+    """From the user's cache, or compiled and kept there."""
 
     def run(leaves: list) -> Any:
         return function(*eqx.combine(jax.tree.unflatten(tree, leaves), fixed))
 
-    executable = jax.jit(run).lower(leaves).compile(compiler_options=_options())
-    if keeping:
-        kept.store("executables", key, serialize(executable))
+    if not _keeping:
+        return jax.jit(run).lower(leaves).compile(compiler_options=_options())
+    named = f"{function.__module__}.{function.__qualname__}"
+    key = kept.key_of("program", named, signature, kept.code_digest(), *_backend())
+    program = kept.load("programs", key)
+    executable = None if program is None else _read_back(program)
+    if executable is not None:
+        return executable
+    lowered = jax.jit(run).lower(leaves)
+    program = kept.key_of("executable", hashlib.blake2b(lowered.as_text().encode()).hexdigest(), *_backend())
+    kept.store("programs", key, program)
+    executable = _read_back(program)
+    if executable is None:
+        executable = lowered.compile(compiler_options=_options())
+        _keep(program, executable, leaves)
     return executable
+
+
+def _read_back(program: str) -> Any | None:
+    """The executable of a program; None where there is none that can be read."""
+    stored = kept.load("executables", program)
+    if stored is None:
+        return None
+    try:
+        _load_linear_algebra()
+        return deserialize_and_load(*stored)
+    except Exception:  # of an XLA that is not quite the same: as good as absent
+        return None
+
+
+def _keep(program: str, executable: Any, leaves: list) -> None:
+    """Keeps an executable that runs when it is read back. One that jax had from its own cache, where the user keeps
+    one, does not."""
+    written = serialize(executable)
+    try:
+        jax.block_until_ready(deserialize_and_load(*written)(leaves))
+    except Exception:
+        return
+    kept.store("executables", program, written)
 
 
 @lru_cache(maxsize=1)

@@ -29,12 +29,16 @@ from tuning.space import Space, decode
 # Points looked at per level count, those of them that are searched from, and the ends of these that are gone on with:
 # the best of them after a few soft steps is often not the one that ends best.
 SCREENED, STARTS, HEADS = 24, 6, 3
+# After so many sharp steps the best ends of all, one of each level count, are searched from to the end: so many, and
+# those that are worse than the best by no more than this factor. The fewest levels, the usual answer, are from each.
+TRIED_STEPS, FINALISTS, _BEHIND = 12, 3, 1.1
 MARGIN = 0.98  # of the budget that the surrogate may use
 # Switching is sharpened in stages: a soft trigger sees further, a sharp one counts right (PERCEPTION.md section 2).
 SOFT, SHARP = 6.0, 20.0
 SOFT_STEPS, MOST_STEPS = 8, 40
 FOLLOWED = 3  # level counts that are searched again where another budget was searched before
 _FEASIBLE = 1e-3
+GLANCED = ("loop_cost_mean_us", "loop_cost_p999_us", "memory_mb")
 # What a start's excess, in ln of its limit, weighs against its objective, and what it weighs for a third of the starts:
 # where budgets are tight, the best of points that break them are all alike and far from any that does not.
 _PROMISE, _CAREFUL = 2.0, 10.0
@@ -74,6 +78,10 @@ class Found:
         """The promise, the excess weighed so."""
         value = self.objective + weight * max(self.excess, 0.0)
         return value if np.isfinite(value) else np.inf
+
+
+Task = tuple[int, NDArray[np.float64], float, int]  # level count, start, sharpness, most steps
+Solved = Callable[[Task], Found]
 
 
 class Problem(eqx.Module):
@@ -119,6 +127,12 @@ def value_and_excess(x: Float[Array, " n"], args: Any) -> tuple[Array, Array]:
     return value, jnp.log(found["loop_cost_p999_us"] / problem.budget_us)[None]
 
 
+def glance(x: Float[Array, " n"], measured: LadderMeasurement, problem: Problem, sharpness: Array) -> Array:
+    """(4,) objective, and `GLANCED` metrics: all that a search asks for, in half the time of all metrics."""
+    found, value = _metrics(x, measured, problem, sharpness)
+    return jnp.stack([value, *(found[name] for name in GLANCED)])
+
+
 def memory_excess(x: Float[Array, " n"], args: Any) -> Array:
     """ln of memory over its limit, (1,). `args` as above."""
     measured, problem, _ = args
@@ -138,7 +152,7 @@ def solve(
     return found.value, (found.state.gradient, found.state.excess, found.state.jacobian)
 
 
-_solve, _look = compiled(solve), compiled(_metrics)
+_solve, _look, _glance = compiled(solve), compiled(_metrics), compiled(glance)
 
 
 class Search:
@@ -199,52 +213,64 @@ class Search:
     ) -> dict[int, Found]:
         held = Limits(MARGIN * limits.budget_us, limits.memory_mb)
 
-        def solved(task: tuple[int, NDArray[np.float64], float]) -> Found:
-            levels, start, sharpness = task
+        def solved(task: Task) -> Found:
+            levels, start, sharpness, steps = task
             with jax.enable_x64(True):  # of this thread
-                x0 = jnp.asarray(self._space.ordered(start, levels))
-                steps = jnp.asarray(SOFT_STEPS if sharpness < SHARP else MOST_STEPS)
-                best, _ = _solve(x0, self._measured, self.problem(levels, held), jnp.asarray(sharpness), steps)
+                asked = self._measured, self.problem(levels, held), jnp.asarray(sharpness), jnp.asarray(steps)
+                best, _ = _solve(jnp.asarray(self._space.ordered(start, levels)), *asked)
                 x = np.asarray(best)
-            return self.look(self._space.ordered(x, levels), levels, limits)
+            return self._glanced(self._space.ordered(x, levels), levels, limits)
 
         with ThreadPoolExecutor(threads()) as pool:
             self._compile(pool, counts[0], held)
             before = self._known.best([k for k in counts if k not in near], lambda known: self._promise(known, held))
             soft = [
-                (k, x, SOFT)
+                (k, x, SOFT, SOFT_STEPS)
                 for k in counts if k not in near and k not in before for x in self.starts(pool, k, held, seed)
             ]  # fmt: skip
-            found = list(zip((k for k, _, _ in soft), pool.map(solved, soft), strict=True))
-            sharp = [(k, x, SHARP) for k, x in near.items()]
-            sharp += [(k, before[k], SHARP) for k in list(before)[:FOLLOWED]]
+            found = list(zip((task[0] for task in soft), pool.map(solved, soft), strict=True))
+            sharp = [(k, x, SHARP, MOST_STEPS) for k, x in near.items()]
+            sharp += [(k, before[k], SHARP, MOST_STEPS) for k in list(before)[:FOLLOWED]]
             for levels in dict.fromkeys(k for k, _ in found):
-                sharp += [(levels, f.x, SHARP) for f in heads_of([f for k, f in found if k == levels], levels)]
+                try:
+                    heads = heads_of([f for k, f in found if k == levels], levels)
+                except ArithmeticError:
+                    heads_of([self.look(f.x, k, limits) for k, f in found if k == levels], levels)  # names the terms
+                    raise
+                sharp += [(levels, f.x, SHARP, TRIED_STEPS if levels > min(counts) else MOST_STEPS) for f in heads]
             ends: dict[int, Found] = {}
-            for (levels, _, _), end in zip(sharp, list(pool.map(solved, sharp)), strict=True):
-                if levels not in ends or end.rank < ends[levels].rank:
-                    ends[levels] = end
+            _better(ends, sharp, pool, solved)
             if soft:
+                _better(ends, [(k, ends[k].x, SHARP, MOST_STEPS) for k in _finalists(ends)], pool, solved)
                 self._polish(ends, pool, solved)
-        ends |= {k: self.look(self._space.ordered(x, k), k, limits) for k, x in before.items() if k not in ends}
+                self._widen(ends, limits)
+        ends |= {k: self._glanced(self._space.ordered(x, k), k, limits) for k, x in before.items() if k not in ends}
         for levels, end in [*found, *ends.items()]:
             self._know(levels, end)
-        return {levels: ends[levels] for levels in counts}
+        return {levels: self.look(ends[levels].x, levels, limits) for levels in counts}
 
-    def _polish(self, ends: dict[int, Found], pool: ThreadPoolExecutor, solved: Callable[[Any], Found]) -> None:
+    def _polish(self, ends: dict[int, Found], pool: ThreadPoolExecutor, solved: Solved) -> None:
         """Searches on from the best ends, in place, and from the best of all with a level more that is hardly used."""
+        asked: set[tuple[int, bytes]] = set()
         for _ in range(POLISH_ROUNDS):
             first = sorted(ends, key=lambda k: ends[k].rank)[:POLISHED]
-            again = [(k, ends[k].x, SHARP) for k in first]
-            if first[0] + 1 in ends:
-                again.append((first[0] + 1, self._space.widened(ends[first[0]].x, first[0]), SHARP))
             before = ends[first[0]]
-            for (levels, _, _), found in zip(again, list(pool.map(solved, again)), strict=True):
-                if found.rank < ends[levels].rank:
-                    ends[levels] = found
+            again = [(k, ends[k].x) for k in first]
+            if first[0] + 1 in ends:
+                again.append((first[0] + 1, self._space.widened(before.x, first[0])))
+            again = [(k, x) for k, x in again if (k, x.tobytes()) not in asked]  # an end that gave nothing better
+            asked |= {(k, x.tobytes()) for k, x in again}
+            _better(ends, [(k, x, SHARP, MOST_STEPS) for k, x in again], pool, solved)
             best = min(ends.values(), key=lambda found: found.rank)
             if best.rank[0] == before.rank[0] and best.rank[1] > (1.0 - _GAIN) * before.rank[1]:
                 return
+
+    def _widen(self, ends: dict[int, Found], limits: Limits) -> None:
+        """Who may have a level more does no worse: it need hardly be used."""
+        for levels in sorted(ends):
+            if levels - 1 in ends:
+                wider = self._glanced(self._space.widened(ends[levels - 1].x, levels - 1), levels, limits)
+                ends[levels] = min(ends[levels], wider, key=lambda found: found.rank)
 
     def _promise(self, known: Known, limits: Limits) -> float:
         """As `Found.promise`."""
@@ -269,7 +295,7 @@ class Search:
         return self._space
 
     def _compile(self, pool: ThreadPoolExecutor, levels: int, limits: Limits) -> None:
-        """Both compiled functions at the same time; a thread each, since concurrent first calls would compile twice."""
+        """All compiled functions at the same time; a thread each, since concurrent first calls would compile twice."""
         if self._compiled:
             return
         x = self._space.sample(1, levels, 0)[0]
@@ -279,16 +305,17 @@ class Search:
                 one = jnp.asarray(1)
                 _solve(jnp.asarray(x), self._measured, self.problem(levels, limits), jnp.asarray(SOFT), one)
 
-        wait = pool.submit(build)
+        waits = [pool.submit(build), pool.submit(self._glanced, x, levels, limits)]
         self.look(x, levels, limits)
-        wait.result()
+        for wait in waits:
+            wait.result()
         self._compiled = True
 
     def starts(self, pool: ThreadPoolExecutor, levels: int, limits: Limits, seed: int) -> list[NDArray[np.float64]]:
         """The most promising of many points, since a look costs less than a step. One of them keeps the limits, or
         breaks them least: from points that all break them a search may end where it cannot break them less."""
         points = [*self._space.sample(SCREENED, levels, seed), *self._space.anchors(levels)]
-        looks = list(pool.map(lambda x: self.look(x, levels, limits), points))
+        looks = list(pool.map(lambda x: self._glanced(x, levels, limits), points))
         for look in looks:
             self._know(levels, look)
         order = sorted(range(len(points)), key=lambda i: looks[i].promise)
@@ -312,16 +339,40 @@ class Search:
         return gradient, excess, jacobian
 
     def look(self, x: NDArray[np.float64], levels: int, limits: Limits) -> Found:
-        """What the surrogate says of x."""
+        """All that the surrogate says of x."""
         with jax.enable_x64(True):
-            sharpness = jnp.asarray(SHARP)
-            raw, value = _look(jnp.asarray(x), self._measured, self.problem(levels, limits), sharpness)
-            predicted = {name: float(value) for name, value in raw.items()}
-        excess = max(
-            np.log(predicted["loop_cost_p999_us"] / limits.budget_us),
-            np.log(predicted["memory_mb"] / limits.memory_mb),
-        )
-        return Found(np.asarray(x), float(value), float(excess), predicted)
+            asked = jnp.asarray(x), self._measured, self.problem(levels, limits), jnp.asarray(SHARP)
+            raw, value = jax.device_get(_look(*asked))
+        return _found(x, value, {name: float(each) for name, each in raw.items()}, limits)
+
+    def _glanced(self, x: NDArray[np.float64], levels: int, limits: Limits) -> Found:
+        """What a search needs to know of x: `predicted` has `GLANCED` alone."""
+        with jax.enable_x64(True):
+            asked = jnp.asarray(x), self._measured, self.problem(levels, limits), jnp.asarray(SHARP)
+            value, *metrics = np.asarray(_glance(*asked))
+        return _found(x, value, dict(zip(GLANCED, map(float, metrics), strict=True)), limits)
+
+
+def _found(x: NDArray[np.float64], value: float, predicted: dict[str, float], limits: Limits) -> Found:
+    excess = max(
+        np.log(predicted["loop_cost_p999_us"] / limits.budget_us), np.log(predicted["memory_mb"] / limits.memory_mb)
+    )
+    return Found(np.asarray(x), float(value), float(excess), predicted)
+
+
+def _better(ends: dict[int, Found], tasks: Sequence[Task], pool: ThreadPoolExecutor, solved: Solved) -> None:
+    """Searches, and keeps the best of each level count."""
+    for (levels, *_), end in zip(tasks, list(pool.map(solved, tasks)), strict=True):
+        if levels not in ends or end.rank < ends[levels].rank:
+            ends[levels] = end
+
+
+def _finalists(ends: Mapping[int, Found]) -> list[int]:
+    """Level counts that are worth a search to the end, best first."""
+    order = sorted(ends, key=lambda k: ends[k].rank)
+    broken, least = ends[order[0]].rank
+    near = [k for k in order[FINALISTS:] if ends[k].rank <= (broken, _BEHIND * least)]
+    return order[:FINALISTS] + near
 
 
 def heads_of(found: Sequence[Found], levels: int) -> list[Found]:
