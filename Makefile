@@ -9,7 +9,8 @@ unexport PYTHONDONTWRITEBYTECODE
 
 BIN := .venv/bin
 # ninja cannot take part in make's own sharing of jobs, and says so at length.
-BUILD := MAKEFLAGS= cmake --build
+# As many compilers as cores: two trees are built at the same time, and with ninja's own two more each they wait for each other's memory.
+BUILD := MAKEFLAGS= CMAKE_BUILD_PARALLEL_LEVEL=$(shell nproc 2>/dev/null || echo 2) cmake --build
 RELEASE := build/release
 SANITIZED := build/sanitized
 # The sanitized build is also the second compiler's: clang where there is one.
@@ -58,8 +59,8 @@ product: configure  ## the station and the Python module alone
 # Fetching packages and checking types keep one core busy: the sanitized build and the C++ tests have the other meanwhile.
 test: tools  ## everything CI runs
 	@$(MAKE) --no-print-directory --output-sync=target -j 2 build test-sanitized-build
-	@$(MAKE) --no-print-directory --output-sync=target -j 2 lint test-sanitized
-	@$(MAKE) --no-print-directory test-cpp test-python
+	@$(MAKE) --no-print-directory --output-sync=target -j 3 lint test-sanitized test-cpp
+	@$(MAKE) --no-print-directory test-python
 
 test-cpp: build  ## C++ tests, release build
 	@ctest --test-dir $(RELEASE) --output-on-failure --no-tests=error -j 2
@@ -74,7 +75,7 @@ test-sanitized-build: tools
 test-sanitized: test-sanitized-build  ## C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer, short fuzzing
 	@ctest --test-dir $(SANITIZED) --output-on-failure --no-tests=error -j 2
 
-THREADED := station_telemetry_test station_hid_faults_test station_loop_test
+THREADED := station_tests station_hid_tests
 test-threads: setup  ## loop, writer, telemetry under ThreadSanitizer
 	@mkdir -p build
 	@cmake -S . -B build/threads $(CMAKE_FLAGS) -DCMAKE_BUILD_TYPE=None -DCMAKE_CXX_FLAGS=-O1 -DHAPTICLOD_PYTHON=OFF \

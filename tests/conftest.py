@@ -47,10 +47,17 @@ def config_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The long ones first: at the end no process waits for another."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Keep float64 on, even where a module under test switched it off."""
+    """Keep float64 on, even where a module under test switched it off, and keep what is compiled for all processes."""
     if "jax" in sys.modules:
         sys.modules["jax"].config.update("jax_enable_x64", True)
+    if "tuning.compile_cache" in sys.modules:
+        sys.modules["tuning.compile_cache"].keep_compiled()
 
 
 DATA = Path(os.environ.get("HAPTICLOD_DATA") or REPOSITORY.parent / "shared" / "data")

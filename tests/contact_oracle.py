@@ -15,33 +15,57 @@ import numpy as np
 SKIN_OF_EXTENT = 4e-6
 
 
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(m, 3) cross products; np.cross spends more on small arrays than all else here."""
+    x, y, z = a[:, 0], a[:, 1], a[:, 2]
+    u, v, w = b[:, 0], b[:, 1], b[:, 2]
+    product = np.empty((len(a), 3))
+    product[:, 0], product[:, 1], product[:, 2] = y * w - z * v, z * u - x * w, x * v - y * u
+    return product
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(...) dot products of the last axes."""
+    return np.einsum("...j,...j->...", a, b)
+
+
+def length(a: np.ndarray) -> np.ndarray:
+    """(...) lengths of the last axis."""
+    return np.sqrt(dot(a, a))
+
+
+def edges_of(triangles: np.ndarray) -> np.ndarray:
+    """(m, 3, 3): from each corner to the next one."""
+    return triangles[:, [1, 2, 0]] - triangles
+
+
 def closest_points(triangles: np.ndarray, p: np.ndarray) -> np.ndarray:
     """(m, 3) closest point of each triangle (m, 3, 3) to p (3,) or (m, 3)."""
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    normal = np.cross(b - a, c - a)
-    area2 = np.einsum("ij,ij->i", normal, normal)
+    a, edge = triangles[:, 0], edges_of(triangles)
+    back = -edge[:, 2]  # from the first corner to the last
+    normal = cross(edge[:, 0], back)
+    area2 = dot(normal, normal)
     safe = np.where(area2 > 0.0, area2, 1.0)
     ap = p - a
-    u = np.einsum("ij,ij->i", np.cross(ap, c - a), normal) / safe
-    v = np.einsum("ij,ij->i", np.cross(b - a, ap), normal) / safe
+    u = dot(cross(ap, back), normal) / safe
+    v = dot(cross(edge[:, 0], ap), normal) / safe
     inside = (area2 > 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
-    height = np.einsum("ij,ij->i", ap, normal) / safe
-    best = np.where(inside[:, None], p - normal * height[:, None], 0.0)
-    best2 = np.where(inside, np.einsum("ij,ij->i", p - best, p - best), np.inf)
-    for start, end in ((a, b), (b, c), (c, a)):
-        edge = end - start
-        length2 = np.einsum("ij,ij->i", edge, edge)
-        t = np.einsum("ij,ij->i", p - start, edge) / np.where(length2 > 0.0, length2, 1.0)
-        q = start + edge * np.clip(t, 0.0, 1.0)[:, None]
-        d2 = np.einsum("ij,ij->i", p - q, p - q)
-        nearer = ~inside & (d2 < best2)
-        best[nearer], best2[nearer] = q[nearer], d2[nearer]
+    best = p - normal * (dot(ap, normal) / safe)[:, None]
+    out = np.flatnonzero(~inside)
+    if len(out):
+        start, edge = triangles[out], edge[out]
+        away = (p if p.ndim == 1 else p[out][:, None]) - start
+        length2 = dot(edge, edge)
+        t = dot(away, edge) / np.where(length2 > 0.0, length2, 1.0)
+        rest = away - edge * np.clip(t, 0.0, 1.0)[..., None]  # (o, 3, 3): from each edge's nearest point to p
+        nearest = np.argmin(dot(rest, rest), axis=1)
+        best[out] = (p if p.ndim == 1 else p[out]) - rest[np.arange(len(out)), nearest]
     return best
 
 
 def distances(triangles: np.ndarray, p: np.ndarray) -> np.ndarray:
     """(m,) distance of each triangle to p."""
-    return np.linalg.norm(p - closest_points(triangles, p), axis=1)
+    return length(p - closest_points(triangles, p))
 
 
 def _first_root(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -52,44 +76,47 @@ def _first_root(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     return np.where(ok, c / np.where(ok, -b + np.sqrt(np.maximum(disc, 0.0)), 1.0), np.inf)
 
 
-def touch_times(triangles: np.ndarray, keep: np.ndarray, x: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """(m,) first t >= 0 at which x + t step comes within keep (m,) of each triangle; inf where it never does."""
-    times = np.full(len(triangles), np.inf)
-    corners = [triangles[:, k] for k in range(3)]
-    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    area2 = np.einsum("ij,ij->i", normal, normal)
+def touch_times(
+    triangles: np.ndarray, keep: np.ndarray, x: np.ndarray, step: np.ndarray, here: np.ndarray | None = None
+) -> np.ndarray:
+    """(m,) first t >= 0 at which x + t step comes within keep (m,) of each triangle; inf where it never does.
+
+    `here`: (m, 3) the triangles' closest points to x, where they are known.
+    """
+    edge = edges_of(triangles)
+    first, back = triangles[:, 0], -edge[:, 2]
+    normal = cross(edge[:, 0], back)
+    area2 = dot(normal, normal)
     flat = area2 > 0.0
-    unit = normal / np.sqrt(np.where(flat, area2, 1.0))[:, None]
-    height = np.einsum("ij,ij->i", x - corners[0], unit)
+    safe = np.where(flat, area2, 1.0)
+    unit = normal / np.sqrt(safe)[:, None]
+    height = dot(x - first, unit)
     fall = unit @ step
+    times = np.full(len(triangles), np.inf)
     for sign in (1.0, -1.0):
         approaching = flat & (sign * fall < 0.0)
         t = np.where(approaching, (sign * keep - height) / np.where(approaching, fall, 1.0), np.inf)
         t = np.where(t >= 0.0, t, np.inf)
-        foot = x + np.where(np.isfinite(t), t, 0.0)[:, None] * step - unit * (sign * keep)[:, None] - corners[0]
-        u = np.einsum("ij,ij->i", np.cross(foot, corners[2] - corners[0]), normal) / np.where(flat, area2, 1.0)
-        v = np.einsum("ij,ij->i", np.cross(corners[1] - corners[0], foot), normal) / np.where(flat, area2, 1.0)
+        foot = x + np.where(np.isfinite(t), t, 0.0)[:, None] * step - unit * (sign * keep)[:, None] - first
+        u = dot(cross(foot, back), normal) / safe
+        v = dot(cross(edge[:, 0], foot), normal) / safe
         times = np.minimum(times, np.where((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0), t, np.inf))
-    for k in range(3):
-        start, edge = corners[k], corners[(k + 1) % 3] - corners[k]
-        m = x - start
-        t = _first_root(np.full(len(m), step @ step), m @ step, np.einsum("ij,ij->i", m, m) - keep * keep)
-        times = np.minimum(times, np.where(t >= 0.0, t, np.inf))
-        length2 = np.einsum("ij,ij->i", edge, edge)
-        safe = np.where(length2 > 0.0, length2, 1.0)
-        along_m, along_step = np.einsum("ij,ij->i", m, edge) / safe, (edge @ step) / safe
-        across_m, across_step = m - along_m[:, None] * edge, step - along_step[:, None] * edge
-        t = _first_root(
-            np.einsum("ij,ij->i", across_step, across_step),
-            np.einsum("ij,ij->i", across_m, across_step),
-            np.einsum("ij,ij->i", across_m, across_m) - keep * keep,
-        )
-        s = along_m + np.where(np.isfinite(t), t, 0.0) * along_step
-        times = np.minimum(times, np.where((length2 > 0.0) & (t >= 0.0) & (s >= 0.0) & (s <= 1.0), t, np.inf))
+    # Corners are balls, edges cylinders between them.
+    m, keep2 = x - triangles, (keep * keep)[:, None]
+    t = _first_root(np.full(m.shape[:2], step @ step), m @ step, dot(m, m) - keep2)
+    times = np.minimum(times, np.where(t >= 0.0, t, np.inf).min(axis=1))
+    length2 = dot(edge, edge)
+    safe = np.where(length2 > 0.0, length2, 1.0)
+    along_m, along_step = dot(m, edge) / safe, (edge @ step) / safe
+    across_m, across_step = m - along_m[..., None] * edge, step - along_step[..., None] * edge
+    t = _first_root(dot(across_step, across_step), dot(across_m, across_step), dot(across_m, across_m) - keep2)
+    s = along_m + np.where(np.isfinite(t), t, 0.0) * along_step
+    held = (length2 > 0.0) & (t >= 0.0) & (s >= 0.0) & (s <= 1.0)
+    times = np.minimum(times, np.where(held, t, np.inf).min(axis=1))
     # Already nearer than keep: distance to a convex set is convex, so it blocks at once or never.
-    here = closest_points(triangles, x)
-    d = np.linalg.norm(x - here, axis=1)
-    slope = np.einsum("ij,j->i", x - here, step)
+    here = closest_points(triangles, x) if here is None else here
+    d = length(x - here)
+    slope = (x - here) @ step
     return np.where(d <= keep, np.where(slope < 0.0, 0.0, np.inf), times)
 
 
@@ -114,7 +141,7 @@ def nearest_point(normals: np.ndarray, offsets: np.ndarray, target: np.ndarray, 
         lift = np.linalg.solve(gram, (offsets[sets] - n @ target)[..., None])[..., 0]
         y = target + np.einsum("sk,skj->sj", lift, n)
         feasible = (y @ normals.T >= offsets - tolerance).all(axis=1)
-        far = np.where(feasible, np.linalg.norm(y - target, axis=1), np.inf)
+        far = np.where(feasible, length(y - target), np.inf)
         i = int(np.argmin(far))
         if far[i] < least - 1e-15:
             best, active, least = y[i], tuple(int(k) for k in sets[i]), far[i]
@@ -144,13 +171,13 @@ class Oracle:
         self.radii = np.asarray(balls, dtype=np.float64)[:, 3]
         self.kept = np.maximum(self.radii, crack_mm) + self.skin
         self.middle = self.triangles.mean(axis=1)
-        self.size = np.linalg.norm(self.triangles - self.middle[:, None], axis=2).max(axis=1)
+        self.size = length(self.triangles - self.middle[:, None]).max(axis=1)
 
     def items(self, centre: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Every (triangle - ball offset) that the reference point could touch within reach of centre, by a bound."""
         triangles, kept, radii = [], [], []
         for offset, keep, radius in zip(self.offsets, self.kept, self.radii, strict=True):
-            gap = np.linalg.norm(self.middle - offset - centre, axis=1) - self.size
+            gap = length(self.middle - offset - centre) - self.size
             near = np.flatnonzero(gap <= reach + keep)
             triangles.append(self.triangles[near] - offset)
             kept.append(np.full(len(near), keep))
@@ -162,11 +189,13 @@ class Oracle:
         triangles, _, radii = self.items(x, reach)
         return float((distances(triangles, x) - radii).min()) if len(triangles) else np.inf
 
-    def planes(self, items: tuple[np.ndarray, np.ndarray, np.ndarray], x: np.ndarray) -> tuple:
-        """Normals, offsets and slacks of what is touched at x, nearest first, without what they already separate."""
+    def planes(self, items: tuple[np.ndarray, np.ndarray, np.ndarray], c: np.ndarray, x: np.ndarray) -> tuple:
+        """Normals, offsets and slacks of what is touched at x, nearest first, without what they already separate.
+
+        `c`: (m, 3) the closest points to x.
+        """
         triangles, kept, radii = items
-        c = closest_points(triangles, x)
-        d = np.linalg.norm(x - c, axis=1)
+        d = length(x - c)
         touched = np.flatnonzero((d - kept <= self.skin) & (d > 0.0))
         normals: list[np.ndarray] = []
         offsets: list[float] = []
@@ -192,7 +221,7 @@ class Oracle:
             if not len(triangles):
                 break
             c = closest_points(triangles, x)
-            d = np.linalg.norm(x - c, axis=1)
+            d = length(x - c)
             i = int(np.argmin(d - kept))
             if d[i] - kept[i] >= -1e-3 * self.skin or d[i] == 0.0:
                 break
@@ -209,7 +238,8 @@ class Oracle:
         normals, offsets, slacks = walls = (np.zeros((0, 3)), np.zeros(0), np.zeros(0))
         last_step = np.zeros(3)
         for k in range(most):
-            normals, offsets, slacks = self.planes(items, x)
+            here = closest_points(triangles, x)
+            normals, offsets, slacks = self.planes(items, here, x)
             y, active = nearest_point(normals, offsets, hip, 1e-5 * self.skin)
             if y is None:
                 break
@@ -224,7 +254,7 @@ class Oracle:
             if np.linalg.norm(step) <= 2e-3 * self.skin:
                 settled = True
                 break
-            t = float(min(touch_times(triangles, kept - 0.1 * self.skin, x, step).min(initial=1.0), 1.0))
+            t = float(min(touch_times(triangles, kept - 0.1 * self.skin, x, step, here).min(initial=1.0), 1.0))
             x = x + t * step
             if t == 1.0 and not len(normals):
                 settled = True
@@ -250,7 +280,7 @@ class Oracle:
         seen_from = scp + pull * (self.skin / depth)
         triangles, _, radii = self.items(seen_from, 3.0 * self.skin)
         c = closest_points(triangles, seen_from) if len(triangles) else np.zeros((0, 3))
-        d = np.linalg.norm(seen_from - c, axis=1)
+        d = length(seen_from - c)
         held = (d - radii < 3.0 * self.skin) & (d > 0.0)
         if not held.any():
             return 1.0

@@ -197,6 +197,7 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     return SimpleNamespace(folder=folder, out=out.getvalue(), notes=notes.getvalue())
 
 
+@pytest.mark.slow
 class TestTuning:
     """One small run, from a file to a bundle, and what a user does with the result."""
 

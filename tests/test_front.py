@@ -20,6 +20,7 @@ from tuning.front import Front, FrontPoint, follow
 from tuning.search import Limits, Search
 from tuning.verified_front import best_of
 
+pytestmark = pytest.mark.slow
 BUDGETS_US = [60.0, 180.0, 220.0, 300.0, 600.0]
 SPACE = made_space()
 

@@ -12,6 +12,7 @@ from surrogate_cases import made_measurement, made_space
 from tuning import many_scans, search
 from tuning.search import MARGIN, SHARP, Limits, Search
 
+pytestmark = pytest.mark.slow
 SPACE = made_space()
 LIMITS, STEPS = [Limits(200.0, 100.0), Limits(300.0, 100.0), Limits(250.0, 100.0)], 3
 

@@ -7,6 +7,7 @@ from surrogate_cases import few_starts, made_measurement, made_space
 from benchmarks.optimiser_cases import CLOSE, compared
 from tuning.search import Search
 
+pytestmark = pytest.mark.slow
 BUDGETS_US = (200.0, 260.0, 400.0)
 
 

@@ -18,6 +18,7 @@ from tuning.population import check_over, measured_each, measured_over, over_mot
 from tuning.search import Limits, Search
 from tuning.space import decode
 
+pytestmark = pytest.mark.slow
 MOTIONS = 2
 LIMITS = Limits(220.0, 100.0)
 SPACE = made_space()
@@ -29,14 +30,16 @@ def measured():
         return made_measurement()
 
 
+@jax.jit
+def look(measured, point, levels):
+    return predict_members(measured, decode(point, levels), 200.0, 20.0, MOTIONS)
+
+
 def members_of(measured, x, levels):
     """Felt error and jumps of both motions at x."""
     low, high = SPACE.log_bounds
     with jax.enable_x64(True):
-        look = jax.jit(
-            lambda point: predict_members(measured, decode(point, jnp.asarray(levels)), 200.0, 20.0, MOTIONS)
-        )
-        return look(jnp.asarray(low + x * (high - low)))
+        return look(measured, jnp.asarray(low + x * (high - low)), jnp.asarray(levels))
 
 
 def test_motions_together_are_what_is_pooled(measured):

@@ -9,6 +9,7 @@ from scene_shapes import TWO_PARTS, write_glb, write_scene
 from hapticlod.bundle import read_bundle, write_bundle
 from hapticlod.config import Level, LodConfig
 from hapticlod.errors import InputError
+from hapticlod.ladder import Ladder
 from hapticlod.motion import Motion
 from hapticlod.replay import DEFAULT_STATION, replay_levels, runtime_levels
 from hapticlod.scene import Scene, rotation_matrix
@@ -21,6 +22,11 @@ from tuning.deliver import ladder_document
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return load_scene(write_scene(tmp_path_factory.mktemp("scene")))
+
+
+@pytest.fixture(scope="module")
+def ladder(scene: Scene) -> Ladder:
+    return ladder_of(scene)
 
 
 def press(onto: np.ndarray, outward: np.ndarray, ticks: int = 600) -> Motion:
@@ -89,8 +95,7 @@ def test_nodes_of_a_glb_become_parts(tmp_path: Path) -> None:
         load_scene(path)
 
 
-def test_rungs_show_one_share_of_every_part_within_its_bounds(scene: Scene) -> None:
-    ladder = ladder_of(scene)
+def test_rungs_show_one_share_of_every_part_within_its_bounds(ladder: Ladder) -> None:
     for rung in ladder.rungs:
         assert isinstance(rung, SceneRung)
         ball_rung, box_rung = rung.parts
@@ -110,8 +115,7 @@ def test_rungs_show_one_share_of_every_part_within_its_bounds(scene: Scene) -> N
     assert 0.0 < middle.rms_mm <= middle.hausdorff_mm < 2.0
 
 
-def test_the_runtime_touches_what_is_shown(scene: Scene) -> None:
-    ladder = ladder_of(scene)
+def test_the_runtime_touches_what_is_shown(scene: Scene, ladder: Ladder) -> None:
     config = LodConfig(levels=(Level(triangles=ladder.rungs[0].triangles, cell_mm=2.0, balls=1),), blend_ms=0.0)
     levels = runtime_levels(config, ladder)
     motion = press(np.array([14.0, 0.0, 4.0]), np.array([0.0, 0.0, 1.0]))
@@ -131,8 +135,7 @@ def test_the_runtime_touches_what_is_shown(scene: Scene) -> None:
     assert (rows["force_n"][-1] == 0.0).all()
 
 
-def test_a_bundle_keeps_parts(scene: Scene, tmp_path: Path) -> None:
-    ladder = ladder_of(scene)
+def test_a_bundle_keeps_parts(scene: Scene, ladder: Ladder, tmp_path: Path) -> None:
     counts = [ladder.rungs[0].triangles, ladder.rungs[2].triangles, ladder.rungs[-1].triangles]
     config = LodConfig(
         levels=tuple(Level(triangles=n, cell_mm=2.0 + k, balls=1) for k, n in enumerate(counts)),

@@ -10,6 +10,7 @@ from hapticlod.metrics import METRIC_KEYS
 from hapticlod.surrogate.surrogate import predict
 from tuning.space import decode, split
 
+pytestmark = pytest.mark.slow
 LEVELS, MOST = 3, 4
 BUDGET_US = 60.0
 # ln of: triangles, balls, cells (edges), speeds; hysteresis, filter, blend (ms), L in, L out.

@@ -20,6 +20,7 @@ from hapticlod.shipped import shipped_config
 from hapticlod.station import Station, load_station
 from hapticlod.tool import Tool, load_tool
 
+pytestmark = pytest.mark.slow
 LEVELS = (1, 2)
 TOOL = "tools/ball_1mm.toml"
 

@@ -9,35 +9,18 @@
 #include <fstream>
 
 #include "bundle_maker.hpp"
+#include "bundle_verdicts.hpp"
 #include "io/bundle.hpp"
 
 namespace hapticlod {
 namespace {
 
+using test::expect_golden;
+using test::expect_refused;
 using test::MadeBundle;
 using test::plate_bundle;
+using test::refusal;
 using test::TemporaryFile;
-
-std::string refusal(const std::string& file) {
-    const TemporaryFile temporary(file);
-    const auto bundle = Bundle::open(temporary.path());
-    return bundle ? "" : bundle.fault().line();
-}
-
-void expect_refused(const std::string& file, const std::string& because) {
-    const std::string reason = refusal(file);
-    EXPECT_NE(reason.find(because), std::string::npos) << "said: '" << reason << "'";
-}
-
-// The forces of the golden motion, as recorded.
-void expect_golden(const Bundle& bundle) {
-    Renderer renderer;
-    ASSERT_EQ(renderer.load(bundle.config(), bundle.levels(), bundle.tool()), "");
-    const auto records = test::render(renderer, bundle.golden_motion());
-    for (std::size_t i = 0; i < records.size(); ++i) {
-        ASSERT_EQ(std::memcmp(&records[i], &bundle.golden_record()[i], sizeof(TickRecord)), 0) << i;
-    }
-}
 
 TEST(Bounds, AreUsedInPlaceAndMadeWhereTheyAreMissingOrNew) {
     MadeBundle made = plate_bundle();

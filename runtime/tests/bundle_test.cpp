@@ -9,25 +9,16 @@
 #include <memory>
 
 #include "bundle_maker.hpp"
+#include "bundle_verdicts.hpp"
 
 namespace hapticlod {
 namespace {
 
+using test::expect_refused;
 using test::MadeBundle;
 using test::plate_bundle;
+using test::refusal;
 using test::TemporaryFile;
-
-// The reason of a refusal, empty when the bundle was taken.
-std::string refusal(const std::string& file) {
-    const TemporaryFile temporary(file);
-    const auto bundle = Bundle::open(temporary.path());
-    return bundle ? "" : bundle.fault().line();
-}
-
-void expect_refused(const std::string& file, const std::string& because) {
-    const std::string reason = refusal(file);
-    EXPECT_NE(reason.find(because), std::string::npos) << "said: '" << reason << "'";
-}
 
 // The golden motion through the bundle's levels gives finite forces within the limit.
 void expect_harmless(const Bundle& bundle) {
