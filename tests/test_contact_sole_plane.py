@@ -1,4 +1,5 @@
-"""One ball on one plane is solved by a short way (runtime/core/sole_plane.cpp): it must say what the general way says.
+"""One ball on one plane is solved by short ways (runtime/core/sole_plane.cpp, glide.cpp): they must say what the
+general way says.
 
 A tool of two balls in the same place is the same tool, and more than one ball always goes the general way.
 """
@@ -53,3 +54,5 @@ def test_one_ball_is_two_balls_in_one_place(name: str, speed_mm_s: float, radius
     assert short["errors"].max() == general["errors"].max()
     if name in ("plane", "plate"):  # and the short way was the one that was taken
         assert short["tests"][touching].mean() < 0.5 * general["tests"][touching].mean()
+    if name in ("plane", "sphere") and radius_mm == 0.0:  # nor was anything listed for it
+        assert short["balls"][touching].mean() < 0.1 * general["balls"][touching].mean()

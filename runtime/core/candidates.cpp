@@ -285,6 +285,56 @@ bool Candidates::gather_one(std::uint32_t place, double reach, TickCounters& cou
     return complete;
 }
 
+// All cells of the box about the way, whether near it or not: a test would cost what it saves.
+bool Candidates::around(const Vec3& from, const Vec3& along, double range, Around& out, TickCounters& counters) {
+    if (level_->visible_count != 1) choose_parts(from + along * 0.5, 0.5 * norm(along) + range);
+    const double at[3] = {from.x, from.y, from.z}, way[3] = {along.x, along.y, along.z};
+    std::uint32_t n = 0;
+    for (std::uint32_t p = 0; p < near_count_; ++p) {
+        look_at(near_parts_[p]);
+        const LevelView& level = surface_->view;
+        const double inverse = 1.0 / level.hash->cell_mm, grown = range + double{level.hash->loose_mm};
+        std::int32_t lo[3], hi[3], brick_lo[3], brick_hi[3];
+        bool apart = false;
+        for (int k = 0; k < 3; ++k) {
+            const double least = at[k] + std::min(way[k], 0.0) - grown, most = at[k] + std::max(way[k], 0.0) + grown;
+            const double first = 4.0 * level.hash->brick_min[k], last = 4.0 * level.hash->brick_max[k] + 3.0;
+            const double a = std::max(std::floor(least * inverse), first),
+                         b = std::min(std::floor(most * inverse), last);
+            if (!(a <= b)) {
+                apart = true;
+                break;
+            }
+            lo[k] = static_cast<std::int32_t>(a), hi[k] = static_cast<std::int32_t>(b);
+            brick_lo[k] = lo[k] >> 2, brick_hi[k] = hi[k] >> 2;
+        }
+        if (apart) continue;
+        bool fits = true;
+        const std::uint32_t* cells = level.cells.data();
+        const BlockBound* bounds = surface_->bounds.data();
+        const TriBlock* blocks = level.blocks.data();
+        const auto part = static_cast<std::uint16_t>(part_);
+        counters.cells += surface_->occupancy.for_bricks(level, brick_lo, brick_hi, [&](const Brick& brick) {
+            const std::int32_t base[3] = {brick.x * 4, brick.y * 4, brick.z * 4};
+            int low[3], high[3];
+            for (int k = 0; k < 3; ++k) low[k] = std::max(lo[k] - base[k], 0), high[k] = std::min(hi[k] - base[k], 3);
+            for (std::uint64_t bits = brick.mask & cells_in_range(low, high); bits != 0; bits &= bits - 1) {
+                ++counters.cells;
+                const std::uint32_t cell = cell_of(brick, std::countr_zero(bits));
+                const std::uint32_t end = cells[cell + 1];
+                std::uint32_t b = cells[cell];
+                if (n + (end - b) > Around::kMost) return fits = false;
+                counters.triangles += 8 * (end - b);
+                for (; b < end; ++b, ++n) out.bounds[n] = bounds[b], out.blocks[n] = blocks + b, out.part[n] = part;
+            }
+            return true;
+        });
+        if (!fits) return false;
+    }
+    out.count = n;
+    return true;
+}
+
 // The balls of one node against the blocks around it, eight balls at a time.
 bool Candidates::gather_balls(std::uint32_t index, double reach, TickCounters& counters) {
     const std::span<const SolverBall> balls = solver_balls_;

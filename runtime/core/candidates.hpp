@@ -28,7 +28,11 @@ struct TickCounters {
 
 class Candidates {
 public:
+#ifdef HAPTICLOD_FEW_BLOCKS  // fuzzing: a renderer made a thousand times a second, its scratch full within reach
+    static constexpr std::uint32_t kMaxBlocks = 256;
+#else
     static constexpr std::uint32_t kMaxBlocks = 8192;  // (ball, block) pairs: 65536 items
+#endif
 
     // The tree must outlive this; its offsets may turn.
     void allocate(const ToolTree& tree, std::size_t balls);
@@ -47,6 +51,18 @@ public:
         const char* line = reinterpret_cast<const char*>(&triangles(i));
         for (std::size_t k = 0; k < sizeof(TriBlock); k += 64) __builtin_prefetch(line + k);
     }
+
+    // The blocks of all cells within range of the way from -> from + along, unlisted: for one ball that needs few of
+    // them, once.
+    struct Around {
+        static constexpr std::uint32_t kMost = 64;
+        alignas(32) std::array<BlockBound, kMost> bounds;
+        std::array<const TriBlock*, kMost> blocks;
+        std::array<std::uint16_t, kMost> part;
+        std::uint32_t count = 0;
+    };
+    // False: there are more than fit.
+    [[nodiscard]] bool around(const Vec3& from, const Vec3& along, double range, Around& out, TickCounters& counters);
 
     void invalidate() { valid_ = false; }
     // Forget the safe distances too: the level or the tool changed.

@@ -68,6 +68,7 @@ void ContactSolver::bind(const SceneLevel& level, const Kernels& kernels, const 
     cell_mm_ = level.cell_mm;
     candidates_.bind(level, kernels);
     face_ = {};
+    paused_ = 0, pause_ = 1;
     sole_ = false;
     touched_ = false;
 }
@@ -278,9 +279,12 @@ bool ContactSolver::travel(Vec3 step, double& wanted, int& iteration, std::span<
     }
 }
 
-Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> balls, const Vec3& motion,
-                               TickCounters& counters) {
-    Contact out;
+void ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> balls, const Vec3& motion,
+                            TickCounters& counters, Contact& out) {
+    out.active = 0;
+    out.between = false;
+    for (bool& behind : out.behind) behind = false;
+    if (balls.size() == 1 && glide(hip, balls[0], motion, counters, out)) return;
     out.converged = false;
     double wanted = wanted_reach(norm(motion));
     const double ahead_mm = norm(motion) * kAheadOfFace + kRoom * mean_edge_mm_;
@@ -314,7 +318,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
                     counters.errors |= kErrNotConverged;
                     out.scp = x_;
                     out.active = 0;
-                    return out;
+                    return;
                 }
             }
             local_ = x_ - candidates_.centre();
@@ -397,7 +401,7 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
             out.multiplier[0] = norm(left);
             out.planes[0].normal = left * (1.0 / out.multiplier[0]);
         }
-        return out;
+        return;
     }
     // The same planes without the skin: what the surface itself allows.
     const PlaneSolution final = nearest_feasible(planes_, hip - centre, true, 1e-3 * tolerances_.settled);
@@ -419,7 +423,6 @@ Contact ContactSolver::advance(const Vec3& hip, std::span<const SolverBall> ball
     }
     touched_ = final.active > 0;
     if (touched_) last_touch_ = out.planes[0];
-    return out;
 }
 
 }  // namespace hapticlod

@@ -93,7 +93,8 @@ public:
 
     // Move from the present position toward the HIP as far as the surface lets. `motion` of the HIP since the last tick
     // is a hint of where the tool is going.
-    Contact advance(const Vec3& hip, std::span<const SolverBall> balls, const Vec3& motion, TickCounters& counters);
+    void advance(const Vec3& hip, std::span<const SolverBall> balls, const Vec3& motion, TickCounters& counters,
+                 Contact& out);
 
     // Everything that touches the tool where advance() left it, at its clearance: also what an active plane hides
     // because it lies behind it. Points are relative to the candidates' centre. Looks again, so ask only where it is
@@ -165,6 +166,7 @@ private:
     [[nodiscard]] bool separated(const Triangle& t, double kept) const;
 
     Candidates candidates_;
+    Candidates::Around around_;
     const ToolLinks* links_ = nullptr;
     const Kernels* kernels_ = nullptr;
     Tolerances tolerances_;
@@ -178,14 +180,28 @@ private:
         static constexpr std::uint32_t kNoFace = 0xffffffffu;
         std::uint32_t triangle = kNoFace;
         std::uint16_t part = 0;
-        Triangle corners;  // relative to the level's origin
-        Vec3 normal;       // to the ball's side
-        Vec3 place;        // of the ball's centre
-        double radius = 0.0;
+        bool behind = false;      // the normal is not the winding's
+        Triangle corners;         // relative to the level's origin
+        Vec3 normal;              // to the ball's side
+        Vec3 weight_b, weight_c;  // of a place relative to corner a: its foot's barycentric weights
+        Vec3 place;               // of the ball's centre
+        Vec3 ahead;               // proven within the radius of the way from there, so far
+        double ahead_inverse2 = 0.0, radius = 0.0;
+
+        [[nodiscard]] bool below(const Vec3& p) const;  // the foot of p is on the face
+        [[nodiscard]] bool covers(const Vec3& p, double margin) const;
     };
+    void keep_face(std::uint32_t triangle, std::uint16_t part, const Triangle& corners, const Vec3& towards);
+    // glide.cpp
+    [[nodiscard]] bool glide(const Vec3& hip, const SolverBall& ball, const Vec3& motion, TickCounters& counters,
+                             Contact& out);
+    [[nodiscard]] bool glide_on(const Vec3& hip, const SolverBall& ball, const Vec3& motion, TickCounters& counters,
+                                Contact& out);
+    [[nodiscard]] bool find_face(const Vec3& at, const Vec3& ahead, const SolverBall& ball, TickCounters& counters);
     ProvenFace face_;
-    bool sole_ = false;  // one plane held the tool when it was last looked for
-    double path_ = 0.0;  // length moved since the gather, turns included
+    std::uint32_t paused_ = 0, pause_ = 1, looked_ = 0;  // of glide(): ticks in which it does not look for faces
+    bool sole_ = false;                                  // one plane held the tool when it was last looked for
+    double path_ = 0.0;                                  // length moved since the gather, turns included
     std::uint32_t stamp_ =
         Candidates::kListed;  // names the present local_: what carries it need not be evaluated again
 

@@ -38,6 +38,10 @@ struct Kernels {
     // Upper bounds of how far each block rises above the plane through the place. Reads and writes as near_one().
     void (*highest)(const BlockBound* bounds, std::uint32_t count, const float place[3], const float normal[3],
                     float* high);
+    // Bit k of bits[b / 8]: bound b may come within that distance of the way from -> from + along; inverse2 is
+    // 1 / |along|^2, or 0. apart2: squared distance of its middle from `from`. Reads and writes as near_one().
+    void (*beside)(const BlockBound* bounds, std::uint32_t count, const float from[3], const float along[3],
+                   float inverse2, float within, float* apart2, std::uint32_t* bits);
     // Bit k: seen from shift + residual along its normal, the nearest point of triangle k's plane is on the triangle;
     // height2[k] (8) is its squared distance.
     std::uint32_t (*facing)(const TriBlock& block, const float shift[3], const float residual[3], float* height2);

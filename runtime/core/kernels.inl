@@ -237,6 +237,24 @@ void highest(const BlockBound* bounds, std::uint32_t count, const float place[3]
     }
 }
 
+void beside(const BlockBound* bounds, std::uint32_t count, const float from[3], const float along[3], float inverse2,
+            float within, float* apart2, std::uint32_t* bits) {
+    const F8 zero = {0, 0, 0, 0, 0, 0, 0, 0};
+    for (std::uint32_t b = 0; b < count; b += 8) {
+        F8 row[8];
+        transpose(bounds + b, row);
+        V8 q;
+        q.x = row[0] - from[0], q.y = row[1] - from[1], q.z = row[2] - from[2];
+        store(apart2 + b, V8_DOT(q, q));
+        F8 t = (q.x * along[0] + q.y * along[1] + q.z * along[2]) * inverse2;
+        t = SELECT(t > zero, t, zero);
+        t = SELECT(t < 1.0f, t, zero + 1.0f);
+        q.x -= along[0] * t, q.y -= along[1] * t, q.z -= along[2] * t;
+        const F8 least = row[3] + within;
+        bits[b / 8] = bits_of(V8_DOT(q, q) * 0.999998f <= least * least);
+    }
+}
+
 std::uint32_t facing(const TriBlock& block, const float shift[3], const float residual[3], float* height2) {
     const F8 zero = {0, 0, 0, 0, 0, 0, 0, 0};
     V8 a, b, c, ab, ac, ap, n, ab_ap, ap_ac;

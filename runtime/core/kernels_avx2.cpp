@@ -7,6 +7,6 @@
 namespace hapticlod::avx2 {
 
 extern const Kernels kTable;
-const Kernels kTable{"avx2", eval, near, near_one, highest, facing, above, granted, crossed};
+const Kernels kTable{"avx2", eval, near, near_one, highest, beside, facing, above, granted, crossed};
 
 }  // namespace hapticlod::avx2

@@ -11,9 +11,9 @@ extern const Kernels kTable;
 }
 
 const Kernels& scalar_kernels() noexcept {
-    static constexpr Kernels table{"baseline",         baseline::eval,    baseline::near,
-                                   baseline::near_one, baseline::highest, baseline::facing,
-                                   baseline::above,    baseline::granted, baseline::crossed};
+    static constexpr Kernels table{"baseline",        baseline::eval,   baseline::near,   baseline::near_one,
+                                   baseline::highest, baseline::beside, baseline::facing, baseline::above,
+                                   baseline::granted, baseline::crossed};
     return table;
 }
 

@@ -233,22 +233,22 @@ double Renderer::State::accept_pose(const Pose& pose, double now_s, TickCounters
 void Renderer::State::touch(std::uint32_t level, const Vec3& target, const Vec3& motion, TickCounters& counters) {
     const bool held = contact.active > 0;
     const Vec3 from = solver.position(), anchor = contact.scp;
-    Contact free = solver.advance(target, tool(level), motion, counters);
+    solver.advance(target, tool(level), motion, counters, contact);
     bool stuck = false;
-    if (felt.friction_static > 0.0 && held && free.active > 0) {
-        const double depth = norm(free.scp - target), pull = norm(free.scp - anchor);
+    if (felt.friction_static > 0.0 && held && contact.active > 0) {
+        const double depth = norm(contact.scp - target), pull = norm(contact.scp - anchor);
         if (pull <= felt.friction_static * depth) {
             solver.place(from);
-            free.scp = anchor;
+            contact.scp = anchor;
             stuck = true;
         } else if (felt.friction_dynamic > 0.0 && pull > 0.0) {
             const double trail = std::min(felt.friction_dynamic * depth / pull, 1.0);
             solver.place(from);
-            const Contact slid = solver.advance(target + (anchor - free.scp) * trail, tool(level), motion, counters);
-            if (slid.active > 0) free = slid;
+            Contact slid;
+            solver.advance(target + (anchor - contact.scp) * trail, tool(level), motion, counters, slid);
+            if (slid.active > 0) contact = slid;
         }
     }
-    contact = free;
     shade = {};
     if (contact.active == 0) return;
     if (contact.between) return;
@@ -294,14 +294,14 @@ Vec3 Renderer::State::force(const Vec3& pulled_to) const {
 void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
     const FlushDenormals flush;
     State& s = *state_;
-    out = TickRecord{};
-    out.time_s = time_s;
     TickCounters counters;
     const Vec3 last_hip = s.hip;
     const bool first = !s.started;
     if (s.scene_changes) s.change_scene(counters);
     const double dt = s.accept_pose(pose, time_s, counters);
     if (!s.started && (counters.errors & kErrHipNotFinite) != 0) {
+        out = TickRecord{};
+        out.time_s = time_s;
         out.errors = counters.errors;
         return;
     }
@@ -339,11 +339,14 @@ void Renderer::tick(const Pose& pose, double time_s, TickRecord& out) noexcept {
         torque += cross(s.contact.planes[i].point - s.contact.scp,
                         s.contact.planes[i].normal * (s.contact.multiplier[i] * s.felt.stiffness_n_mm));
     const Vec3 origin = load3(s.config.origin_mm);
+    // Every field: to clear the record first would take longer.
+    out.time_s = time_s;
     (s.hip + origin).store(out.hip_mm);
     (scp + origin).store(out.scp_mm);
     force.store(out.force_n);
     torque.store(out.torque_n_mm);
     out.speed_mm_s = static_cast<float>(speed_mm_s);
+    out.cost_ns = 0.0f;
     out.level = static_cast<std::uint8_t>(level);
     out.contact = s.contact.active > 0 ? 1 : 0;
     out.mapping = static_cast<std::uint8_t>(outcome);

@@ -10,6 +10,7 @@
 #include <limits>
 
 #include "core/contact.hpp"
+#include "core/float_place.hpp"
 #include "core/surface.hpp"
 
 namespace hapticlod {
@@ -17,18 +18,6 @@ namespace {
 
 constexpr std::uint32_t kMostBlocks = 256;
 constexpr std::uint32_t kNone = 0xffffffffu;
-
-struct FloatPlace {
-    float shift[3], residual[3];
-
-    explicit FloatPlace(const Vec3& p) {
-        const double at[3] = {p.x, p.y, p.z};
-        for (int k = 0; k < 3; ++k) {
-            shift[k] = static_cast<float>(at[k]);
-            residual[k] = static_cast<float>(at[k] - double{shift[k]});
-        }
-    }
-};
 
 // Indices of the bounds that are at most this.
 std::uint32_t select(const float* low, std::uint32_t count, float most, std::uint16_t* chosen) {
@@ -196,9 +185,9 @@ bool ContactSolver::find_sole_plane(std::span<const SolverBall> balls, const Vec
     proven_ = radius - tolerances_.touching;
     if (way_along(n, offset, local_, target) > proven_) lower_keys();  // it will be swept
     if (c.interior) {
-        face_.triangle = planes_.planes[0].triangle, face_.part = planes_.planes[0].part;
-        face_.corners = {triangle.a + at, triangle.b + at, triangle.c + at};
-        face_.normal = n, face_.place = at + local_, face_.radius = radius;
+        keep_face(planes_.planes[0].triangle, planes_.planes[0].part,
+                  {triangle.a + at, triangle.b + at, triangle.c + at}, n);
+        face_.place = at + local_, face_.ahead = {}, face_.ahead_inverse2 = 0.0, face_.radius = radius;
     }
     return true;
 }

@@ -112,12 +112,13 @@ TEST(Kernels, BlockBoundsAreLowerBounds) {
 }
 
 TEST(Kernels, WhatProvesOnePlaneIsTrue) {
-    // The kernels of sole_plane.cpp, eight blocks and one ball, by both builds: equal bit for bit; bounds on the right
-    // side of what the corners and the exact distances say; lanes as double precision says, but for rounding.
+    // The kernels of sole_plane.cpp and glide.cpp, eight blocks and one ball, by both builds: equal bit for bit; bounds
+    // on the right side of what the corners and the exact distances say; lanes as double precision says, but for
+    // rounding.
     const Kernels &scalar = scalar_kernels(), &best = best_kernels();
     std::mt19937_64 random(17);
     std::normal_distribution<float> normal;
-    int inside = 0, above = 0;
+    int inside = 0, above = 0, near = 0;
     for (int round = 0; round < 1'000; ++round) {
         TriBlock blocks[8];
         BlockBound bounds[8];
@@ -131,6 +132,27 @@ TEST(Kernels, WhatProvesOnePlaneIsTrue) {
         scalar.highest(bounds, 8, at, n, high[0]), best.highest(bounds, 8, at, n, high[1]);
         ASSERT_EQ(std::memcmp(low[0], low[1], sizeof low[0]), 0);
         ASSERT_EQ(std::memcmp(high[0], high[1], sizeof high[0]), 0);
+        // What comes near a way: no block may be missed whose corners do, and their hull is no nearer than its ball.
+        const Vec3 along = round % 4 == 0 ? Vec3{} : Vec3{normal(random), normal(random), normal(random)} * 0.5;
+        const float way[3] = {static_cast<float>(along.x), static_cast<float>(along.y), static_cast<float>(along.z)};
+        const float inverse2 = round % 4 == 0 ? 0.0f : static_cast<float>(1.0 / norm2(along));
+        float apart2[2][8];
+        std::uint32_t beside[2] = {};
+        scalar.beside(bounds, 8, at, way, inverse2, 0.2f, apart2[0], &beside[0]);
+        best.beside(bounds, 8, at, way, inverse2, 0.2f, apart2[1], &beside[1]);
+        ASSERT_EQ(beside[0], beside[1]);
+        ASSERT_EQ(std::memcmp(apart2[0], apart2[1], sizeof apart2[0]), 0);
+        for (int b = 0; b < 8; ++b) {
+            const Vec3 middle{bounds[b].x, bounds[b].y, bounds[b].z};
+            const double size = std::max(norm(middle), norm(place));
+            ASSERT_NEAR(double{apart2[0][b]}, norm2(middle - place), 1e-5 * size * size);
+            const double gap =
+                norm(middle - closest_on_segment(middle, place, place + along)) - double{bounds[b].radius};
+            if (std::abs(gap - 0.2) > 1e-5 * size) {
+                ASSERT_EQ(beside[0] >> b & 1u, gap < 0.2 ? 1u : 0u);
+            }
+            near += gap < 0.2;
+        }
         for (int b = 0; b < 8; ++b) {
             const auto& v = blocks[b].v;
             const std::uint32_t facing = scalar.facing(blocks[b], at, zero, height2[0]);
@@ -172,6 +194,8 @@ TEST(Kernels, WhatProvesOnePlaneIsTrue) {
     }
     EXPECT_GT(inside, 1'000);
     EXPECT_GT(above, 1'000);
+    EXPECT_GT(near, 100);
+    EXPECT_LT(near, 7'900);
 }
 
 TEST(Kernels, ClearanceIsTheDistance) {
