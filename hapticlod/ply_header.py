@@ -59,9 +59,16 @@ def _parse(header: str, where: str) -> tuple[list[Element], str]:
                 if elements[-1].count < 0:
                     raise ValueError(line)
             elif words[:2] == ["property", "list"]:
-                elements[-1].properties.append(Property(words[4], _SIZES[words[3]], _SIZES[words[2]]))
+                elements[-1].properties.append(
+                    Property(words[4], _SIZES[words[3]], _SIZES[words[2]], _letter(words[3]))
+                )
             elif words[:1] == ["property"]:
-                elements[-1].properties.append(Property(words[2], _SIZES[words[1]]))
+                elements[-1].properties.append(Property(words[2], _SIZES[words[1]], 0, _letter(words[1])))
         except (IndexError, KeyError, ValueError) as error:
             raise InputError(f"{where}, line {number}", f"cannot be read as PLY header: {line!r}", _FIX) from error
     return elements, form
+
+
+def _letter(name: str) -> str:
+    """numpy's for a type of the header."""
+    return "f" if name.startswith(("float", "double")) else "u" if name.startswith("u") else "i"

@@ -14,7 +14,7 @@ from hapticlod.box import bounding_box, box_diagonal
 from hapticlod.errors import InputError
 from hapticlod.material import check_materials, vertex_means
 from hapticlod.repair_report import Count, RepairReport
-from hapticlod.scan_file import FileMesh, check_indices, read_mesh
+from hapticlod.scan_file import CheckedFile, FileMesh, check_indices, read_mesh
 from hapticlod.scan_unit import UNITS_MM, guess_unit, named_unit
 
 __all__ = ["Count", "RepairReport", "Scan", "load_scan", "scan_from_arrays"]
@@ -85,11 +85,11 @@ class Scan:
         return replace(self, face_materials=None if np.isnan(made).all() else made)
 
 
-def load_scan(path: str | os.PathLike[str], unit: str | None = "mm", *, strict: bool = False) -> Scan:
+def load_scan(path: str | os.PathLike[str] | CheckedFile, unit: str | None = "mm", *, strict: bool = False) -> Scan:
     """Load and clean a scan.
 
     Args:
-        path: STL (binary or ASCII), PLY, OBJ, OFF, GLB or 3MF.
+        path: STL (binary or ASCII), PLY, OBJ, OFF, GLB or 3MF; or what `check_mesh_file` read of one.
         unit: unit of the file's numbers: mm, cm, m, um or in (inches). None: what the file says (glTF: metres; 3MF; a
             comment of OBJ, PLY or STL), else a guess from its size; the report says which and what it rests on.
         strict: refuse instead of repairing; sharing equal vertices is no repair.
@@ -102,9 +102,10 @@ def load_scan(path: str | os.PathLike[str], unit: str | None = "mm", *, strict: 
     Raises:
         InputError: the file cannot be used, the unit is unknown, or it needs repair and `strict` is set.
     """
-    path = Path(path)
     asked = None if unit is None else named_unit(unit)
-    held = read_mesh(path)
+    file = path if isinstance(path, CheckedFile) else Path(path)
+    held = read_mesh(file)
+    path = file.path if isinstance(file, CheckedFile) else file
     taken = asked or held.unit or guess_unit(held.vertices, held.faces)
     held = replace(held, vertices=held.vertices * taken.mm)
     scan = _make(held, os.fspath(path), path.stem, path.name, taken.name, strict)

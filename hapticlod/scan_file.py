@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from hapticlod.errors import InputError
+from hapticlod.far_vertices import check_facets
 from hapticlod.glb_header import check_glb
 from hapticlod.ply_header import check_ply
 from hapticlod.scan_attributes import corner_colours, face_materials
@@ -49,18 +50,27 @@ class FileMesh:
     notes: tuple[str, ...] = ()
 
 
-def read_mesh(path: Path) -> FileMesh:
+@dataclass(frozen=True, eq=False)
+class CheckedFile:
+    """The bytes of a file that may well be what its ending says, and that ending."""
+
+    path: Path
+    data: bytes
+    kind: str
+
+
+def read_mesh(file: Path | CheckedFile) -> FileMesh:
     """Read STL (binary or ASCII), PLY, OBJ, OFF, GLB or 3MF; several bodies are joined, node poses applied.
 
     Args:
-        path: the file; its ending names the format.
+        file: its ending names the format.
 
     Raises:
         InputError: missing, empty, cut short, not the format it claims, no faces, an index out of range, or a material
             that cannot be.
     """
-    where = os.fspath(path)
-    data, kind = _checked(path)
+    checked = file if isinstance(file, CheckedFile) else check_mesh_file(file)
+    where, data, kind = os.fspath(checked.path), checked.data, checked.kind
     bodies = _bodies(data, kind, where)
     if not bodies:
         raise InputError(where, "holds no triangles", "export a surface with faces")
@@ -76,26 +86,8 @@ def read_mesh(path: Path) -> FileMesh:
     )
 
 
-def check_mesh_file(path: Path) -> None:
-    """Raise InputError where `read_mesh` would refuse a file for what can be seen without parsing it. Fast."""
-    _checked(path)
-
-
-def check_indices(faces: np.ndarray, vertex_count: int, where: str) -> None:
-    """Raise InputError naming the first face that refers to a vertex that is not there."""
-    bad = (faces < 0) | (faces >= vertex_count)
-    if bad.any():
-        face = int(np.flatnonzero(bad[:, 0] | bad[:, 1] | bad[:, 2])[0])
-        index = int(faces[face][bad[face]][0])
-        raise InputError(
-            f"{where}, face {face}",
-            f"refers to vertex {index}, but the vertices are 0 to {vertex_count - 1}",
-            "delete that face or export the scan again",
-        )
-
-
-def _checked(path: Path) -> tuple[bytes, str]:
-    """The bytes of a file that may well be what its ending says, and that ending."""
+def check_mesh_file(path: Path) -> CheckedFile:
+    """Read a file, fast. Raises InputError where `read_mesh` would refuse it for what is seen without parsing it."""
     where = os.fspath(path)
     kind = path.suffix.lower().lstrip(".")
     data = _read_bytes(path, kind)
@@ -111,7 +103,20 @@ def _checked(path: Path) -> tuple[bytes, str]:
         _check_3mf(data, where)
     else:
         check_glb(data, where)
-    return data, kind
+    return CheckedFile(path, data, kind)
+
+
+def check_indices(faces: np.ndarray, vertex_count: int, where: str) -> None:
+    """Raise InputError naming the first face that refers to a vertex that is not there."""
+    bad = (faces < 0) | (faces >= vertex_count)
+    if bad.any():
+        face = int(np.flatnonzero(bad[:, 0] | bad[:, 1] | bad[:, 2])[0])
+        index = int(faces[face][bad[face]][0])
+        raise InputError(
+            f"{where}, face {face}",
+            f"refers to vertex {index}, but the vertices are 0 to {vertex_count - 1}",
+            "delete that face or export the scan again",
+        )
 
 
 def _read_bytes(path: Path, kind: str) -> bytes:
@@ -147,6 +152,7 @@ def _check_stl(data: bytes, where: str) -> bytes:
         count = struct.unpack_from("<I", data, 80)[0]
         length = _STL_HEAD + _STL_FACET * count
         if count > 0 and len(data) == length:
+            check_facets(data, where)
             return data
     text = data[:1024].lower()
     if text.lstrip().startswith(b"solid") and b"\0" not in data[:65536] and (b"facet" in text or len(data) < 1024):
@@ -159,6 +165,7 @@ def _check_stl(data: bytes, where: str) -> bytes:
     if count != whole:
         claim = f"its head claims {count} triangles ({length} bytes), it holds {whole}"
         raise InputError(where, f"is {'cut short' if count > whole else 'damaged'}: {claim}", _EXPORT_AGAIN)
+    check_facets(data, where)
     return data[:length]  # a few bytes of padding after the last triangle
 
 

@@ -34,8 +34,8 @@ class Optimist:
         return {count: self.best(count, limits, seed) for count in counts}
 
 
-def explored(true_over_predicted: Any) -> tuple[list[Any], list[float]]:
-    """The candidates of one level count, measured at predicted times a factor of the prediction."""
+def explored(true_over_predicted: Any, counts: tuple[int, ...] = (1,)) -> tuple[list[Any], list[float]]:
+    """The candidates of some level counts, measured at predicted times a factor of the prediction."""
 
     def measured(config: LodConfig) -> dict[str, float]:
         predicted_us = float(config.name)
@@ -52,7 +52,7 @@ def explored(true_over_predicted: Any) -> tuple[list[Any], list[float]]:
     verifier: Any = SimpleNamespace(measured=measured)
     ready: Any = SimpleNamespace(space=SimpleNamespace(config=config))
     made = explore(
-        search, verifier, ready, station(), [1], 0, lambda *stage: None,  # pyright: ignore[reportArgumentType]
+        search, verifier, ready, station(), counts, 0, lambda *stage: None,  # pyright: ignore[reportArgumentType]
         lambda config, metrics: metrics["felt_error_jnd"],
     )  # fmt: skip
     return made, search.asked
@@ -102,6 +102,11 @@ def test_stops_where_they_agree(share: float) -> None:
     made, _ = explored(lambda predicted_us: share)
     assert len(made) == 1
     assert made[0].feasible
+
+
+def test_a_level_that_is_predicted_to_do_nothing_is_not_measured() -> None:
+    made, _ = explored(lambda predicted_us: 1.0, (1, 2, 3))
+    assert [candidate.optimum.levels for candidate in made] == [1]
 
 
 def candidate(objective: float, cost_us: float) -> Candidate:

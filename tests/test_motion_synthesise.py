@@ -21,6 +21,7 @@ from hapticlod.motion.strokes import (
 )
 from hapticlod.motion.surface import Surface
 from hapticlod.motion.synthesise import strokes_in_air
+from hapticlod.motion.walk import start_on
 from hapticlod.tool import ball, load_tool
 
 CONFIGS = Path(__file__).parents[1] / "configs"
@@ -313,3 +314,16 @@ def test_strokes_in_the_air_are_as_fast_as_those_that_slide() -> None:
     assert set(flown.sum(axis=1)) == {16}
     slow = np.argsort(peaks)[:20]
     assert set(flown[:, slow].sum(axis=1)) == {8}
+
+
+def test_hands_start_on_crests_no_more_often_than_elsewhere(plate_mesh: Mesh) -> None:
+    """A plate folded to a roof of 10 degrees: near the crest twice as much surface is within reach as on the flanks."""
+    lean = np.radians(85.0)
+    x, y, _ = plate_mesh.vertices.T
+    roof = Mesh(np.column_stack([x * np.cos(lean), y, -np.abs(x) * np.sin(lean)]), plate_mesh.faces)
+    surface, rng = Surface(roof), np.random.default_rng(0)
+    down = np.array([start_on(surface, rng)[0][2] for _ in range(200)])
+    inside = surface.border_mm > surface.margin_mm
+    zone_mm = 15.0
+    share = surface.weights[inside & (surface.points_mm[:, 2] > -zone_mm)].sum() / surface.weights[inside].sum()
+    assert np.mean(down > -zone_mm) == pytest.approx(share, abs=0.08)

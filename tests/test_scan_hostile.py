@@ -15,6 +15,7 @@ import trimesh
 
 from hapticlod.errors import InputError
 from hapticlod.scan import load_scan, scan_from_arrays
+from hapticlod.scan_file import check_mesh_file
 
 HEAD = "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n"
 FACES = "element face {}\nproperty list {} int vertex_indices\nend_header\n"
@@ -118,6 +119,29 @@ def test_coordinates_far_beyond_any_scan_are_refused(where: float) -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [where, 0, 0]])
     with pytest.raises(InputError, match=r"vertex 3: lies .* mm from the origin"):
         scan_from_arrays(vertices, np.array([[0, 1, 2], [0, 1, 3]]))
+
+
+def test_a_far_vertex_is_refused_unparsed_where_a_face_needs_it(tmp_path: Path) -> None:
+    """Of STL and binary PLY: importing the parser takes longer than all else. The vertex has the parser's number."""
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, -1e30, 0], [0, 1, 0], [np.nan, 0, 0]], "<f4")
+    whole, broken = [[0, 3, 1], [0, 1, 2]], [[0, 3, 1], [4, 1, 2]]
+
+    def write(faces: list[list[int]]) -> list[Path]:
+        facets = np.zeros(2, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]))
+        facets["corners"] = points[np.array(faces)]
+        head = (HEAD.format("binary_little_endian", 5) + FACES.format(2, "uchar")).encode()
+        (tmp_path / "far.stl").write_bytes(bytes(80) + struct.pack("<I", 2) + facets.tobytes())
+        (tmp_path / "far.ply").write_bytes(head + points.tobytes() + b"".join(face(*corners) for corners in faces))
+        return [tmp_path / "far.stl", tmp_path / "far.ply"]
+
+    for path, vertex in zip(write(whole), (5, 2), strict=True):
+        with pytest.raises(InputError, match=rf"vertex {vertex}: lies 1e\+30 from the origin, too far in any unit"):
+            check_mesh_file(path)
+        vertices: Any = trimesh.load(path, process=False)
+        assert np.abs(vertices.vertices[vertex]).max() > 9e29
+    for path in write(broken):
+        assert check_mesh_file(path).path == path
+        assert load_scan(path, "mm").triangles == 1
 
 
 def test_a_stray_vertex_is_named_and_a_distant_part_is_not_one() -> None:

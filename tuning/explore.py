@@ -21,6 +21,8 @@ RESCUES = 5  # further ones while nothing that was measured holds the budget
 AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
 # A level count is not measured if it could not win even were it better than predicted by this factor.
 HOPE = 0.7
+# Nor if fewer levels were predicted as good to this, JND or noticed jumps per second: one more is hardly used.
+ALIKE = 1e-3
 # How much less is asked for, at least, after one measurement over the budget, and after several in a row.
 LESS, MUCH_LESS = 0.95, 0.7
 # Slopes of ln (measured / predicted) along ln budget that are believed, and how near to the ends of a bracket one goes.
@@ -83,7 +85,7 @@ def explore(
     every = search.best_of_each(counts, limits_of(station, 1.0), seed, near or {})
     correction = 1.0
     for count in sorted(counts, key=lambda k: every[k].rank):
-        if HOPE * every[count].objective > best():
+        if HOPE * every[count].objective > best() or _hardly_used(every, count):
             continue
         found, asked = every[count], Correction(1.0)
         if abs(np.log(correction)) > AGREE:
@@ -101,6 +103,11 @@ def explore(
             found = search.best(count, limits_of(station, asked.value), seed + turn + 1, found.x)
         correction = asked.value
     return made
+
+
+def _hardly_used(every: Mapping[int, Found], count: int) -> bool:
+    fewer = [found for levels, found in every.items() if levels < count]
+    return any(abs(found.objective - every[count].objective) < ALIKE and found.excess <= 0.0 for found in fewer)
 
 
 @dataclass

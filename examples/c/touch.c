@@ -1,4 +1,4 @@
-/* Presses the bundle's tool down on the middle of the scan, 0.1 m/s, and prints the largest force. */
+/* Moves the bundle's tool as its golden motion does, a hand that touched the scan, and prints the largest force. */
 #include <hapticlod/hapticlod.h>
 #include <math.h>
 #include <stdio.h>
@@ -16,12 +16,11 @@ int main(int count, char** words) {
         hlod_bundle_close(bundle);
         return 2;
     }
-    double most_n = 0.0;
-    for (int tick = 0; tick <= 100; ++tick) { /* your loop: read the device, call hlod_tick, send record.force_n */
-        const double time_s = tick / info.loop_hz;
-        const double hip_mm[3] = {info.origin_mm[0], info.origin_mm[1], info.origin_mm[2] + 5.0 - 100.0 * time_s};
-        hlod_record record;
-        hlod_tick(renderer, time_s, hip_mm, NULL, &record);
+    double most_n = 0.0, time_s, hip_mm[3], turned_wxyz[4];
+    hlod_record record;
+    for (uint64_t tick = 0; tick < info.golden_ticks; ++tick) { /* yours: device, hlod_tick, force */
+        hlod_bundle_golden(bundle, tick, &time_s, hip_mm, turned_wxyz, NULL);
+        hlod_tick(renderer, time_s, hip_mm, turned_wxyz, &record);
         most_n = fmax(most_n, sqrt(pow(record.force_n[0], 2) + pow(record.force_n[1], 2) + pow(record.force_n[2], 2)));
     }
     printf("%.6f\n", most_n);

@@ -4,7 +4,7 @@ import ctypes as c
 import math
 import sys
 
-Vector = c.c_double * 3
+Vector, Turn = c.c_double * 3, c.c_double * 4
 
 
 class Info(c.Structure):
@@ -28,7 +28,7 @@ class Record(c.Structure):
 
 
 def main(library: str, path: str, trusted_keys: str) -> None:
-    """Press down on the middle of the scan at 0.1 m/s and print the largest force."""
+    """Move the tool as the golden motion does and print the largest force."""
     hlod = c.CDLL(library)
     message = c.create_string_buffer(256)
 
@@ -43,10 +43,10 @@ def main(library: str, path: str, trusted_keys: str) -> None:
     check(hlod.hlod_bundle_info(bundle, c.byref(info)))
     check(hlod.hlod_renderer_create(bundle, None, c.byref(renderer), message, c.c_size_t(256)))
     most_n, record = 0.0, Record()
-    for tick in range(101):
-        time_s = tick / info.loop_hz
-        x, y, z = info.origin_mm
-        hlod.hlod_tick(renderer, c.c_double(time_s), Vector(x, y, z + 5.0 - 100.0 * time_s), None, c.byref(record))
+    time_s, hip_mm, turned_wxyz = c.c_double(), Vector(), Turn()
+    for tick in range(info.golden_ticks):
+        hlod.hlod_bundle_golden(bundle, c.c_uint64(tick), c.byref(time_s), hip_mm, turned_wxyz, None)
+        hlod.hlod_tick(renderer, time_s, hip_mm, turned_wxyz, c.byref(record))
         most_n = max(most_n, math.hypot(*record.force_n))
     print(f"{most_n:.6f}")
     hlod.hlod_renderer_destroy(renderer)

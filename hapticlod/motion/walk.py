@@ -29,13 +29,17 @@ def step_for(surface: Surface, length_mm: float, seconds: float) -> float:
 
 
 def start_on(surface: Surface, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A place (3,) mm on a good-sized piece of the surface, off its borders, and a tangent direction (3,)."""
+    """A place (3,) mm on a good-sized piece of the surface, off its borders, and a tangent direction (3,).
+
+    Half of the usual surface round it is enough: most of it lies round crests and thin walls, and a hand that set out
+    there would go along them.
+    """
     share = surface.weights / surface.weights.sum()
     tries = rng.choice(len(share), size=48, p=share)
     radius = 0.03 * surface.extent_mm
     around = surface.tree.query_ball_point(surface.points_mm[tries], radius, return_length=True)
     room = np.minimum(surface.border_mm[tries], surface.margin_mm) / surface.margin_mm
-    good = np.minimum(around / np.median(around), 1.0) + room
+    good = np.minimum(around / (0.5 * np.median(around)), 1.0) + room
     best = tries[int(np.argmax(good + 1e-3 * rng.random(len(tries))))]
     normal = surface.normals[best]
     across = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])

@@ -28,7 +28,11 @@ struct TickCounters {
 
 class Candidates {
 public:
+#ifdef HAPTICLOD_FEW_BLOCKS  // fuzzing: a renderer made a thousand times a second, its scratch full within reach
+    static constexpr std::uint32_t kMaxBlocks = 256;
+#else
     static constexpr std::uint32_t kMaxBlocks = 8192;  // (ball, block) pairs: 65536 items
+#endif
 
     // The tree must outlive this; its offsets may turn.
     void allocate(const ToolTree& tree, std::size_t balls);

@@ -147,7 +147,9 @@ SurfaceSide surface_side(ContactSolver& solver, std::span<const SolverBall> ball
     double size = 0.0;
     for (const SolverBall& ball : balls) size = std::max(size, norm(ball.offset - balls[0].offset));
     std::size_t found = 0;
-    for (double c = std::min(kFirstLook * solver.mean_edge_mm(), bound_mm);; c = std::min(2.0 * c, bound_mm)) {
+    // A bundle may claim edges without length: twice nothing would never reach the bound.
+    const double first = std::max(kFirstLook * solver.mean_edge_mm(), same);
+    for (double c = std::min(first, bound_mm);; c = std::min(2.0 * c, bound_mm)) {
         const double granted = solver.gather(c, balls, counters);
         found = nearest_points(solver, balls, same, counters);
         if (found > 0 && (settle_sides(solver, balls, granted, front) || c >= size)) break;

@@ -92,9 +92,10 @@ def pareto_command(
     recorded = [motion for path in motions for motion in load_motion(path, target.loop_hz)]
     with StageProgress(Console(stderr=True, highlight=False)) as told:
         told("load and clean the scan", 0.0)
+        from hapticlod.scan_file import check_mesh_file
         from tuning.kept_scan import load_kept_scan
 
-        cleaned = load_kept_scan(scan, unit)
+        cleaned = load_kept_scan(check_mesh_file(scan), unit)
         from tuning.front import pareto
 
         front = pareto(

@@ -81,10 +81,11 @@ def tune_command(
     key
         Secret key that signs the bundle. Default: your own; it is made the first time.
     """
+    read = None
     if scan.suffix.lower() != ".toml":
         from hapticlod.scan_file import check_mesh_file
 
-        check_mesh_file(scan)  # before anything that is slow to import
+        read = check_mesh_file(scan)  # before anything that is slow to import
     from hapticlod.first_key import own_or_first_key
     from hapticlod.material_map import load_materials
     from hapticlod.motion import load_motion
@@ -110,8 +111,8 @@ def tune_command(
         from hapticlod.scene_file import load_scene
         from tuning.kept_scan import load_kept_scan
 
-        load = load_scene if scan.suffix.lower() == ".toml" else load_kept_scan
-        cleaned = load(scan, unit, strict=strict)
+        cleaned = load_scene(scan, unit, strict=strict) if read is None else load_kept_scan(read, unit, strict=strict)
+        read = None  # tuning needs the memory
         if made_of is not None:
             cleaned = made_of.applied(cleaned)
         for line in [*cleaned.report.lines(), *material_lines(cleaned, target.stiffness_n_mm)]:
