@@ -14,7 +14,7 @@ from hapticlod.shipped import shipped_config
 from hapticlod.station import Station, load_station
 from hapticlod.tool import point
 from tuning.experiments.meshes import PLANE_TRIANGLES, SPHERE_VERTICES, mesh_level, plane, sphere
-from tuning.experiments.old_machine import Loop, run_late, slowdown_of
+from tuning.experiments.old_machine import Loop, run_late, slowdown_of, without_short_way
 from tuning.experiments.slides import DEPTH_MM, slide_on_plane, slide_on_sphere
 from tuning.report.plots import forces_over_time
 from tuning.report.style import svg_of
@@ -83,7 +83,7 @@ def test_a_loop_that_runs_late_gives_old_forces_and_skips_periods() -> None:
 def test_the_old_machine_just_misses_where_it_was_assumed_to() -> None:
     from tuning.experiments.old_machine import MISSED_MM_S, cost_ns
 
-    station, tool = load_station(shipped_config("stations/paper_2009.toml")), point()
+    station, tool = load_station(shipped_config("stations/paper_2009.toml")), without_short_way(point())
     slow = station.adjusted(slowdown=slowdown_of(station, tool), slowdown_reason="test")
     scan, config = plane(80000), load_config(shipped_config("levels/paper_plane_80000.toml"))
     level = mesh_level(scan, scan.centre_mm, config.levels[0].cell_mm)
@@ -103,11 +103,11 @@ def test_cut_short_the_tool_stays_behind_where_the_loop_breaks_down() -> None:
     config = load_config(shipped_config("levels/paper_plane_80000.toml"))
     scan = plane(80000)
     level = mesh_level(scan, scan.centre_mm, config.levels[0].cell_mm)
-    slow = load_station(shipped_config("stations/paper_2009.toml")).adjusted(slowdown=1130.0, slowdown_reason="test")
+    slow = load_station(shipped_config("stations/paper_2009.toml")).adjusted(slowdown=800.0, slowdown_reason="test")
     along = {}
     for cut_short in (False, True):
         motion = slide_on_plane(200.0, 1.5)
-        loop = run_late([level], config, scan.centre_mm, motion, point(), slow, cut_short=cut_short)
+        loop = run_late([level], config, scan.centre_mm, motion, without_short_way(point()), slow, cut_short=cut_short)
         assert loop.rate_hz < 100.0
         along[cut_short] = np.abs(loop.felt_n[:, :2]).max()
     assert along[False] < 1e-6 and along[True] > 1.0
@@ -118,29 +118,29 @@ def test_jumps_are_drawn_on_the_first_machine_that_has_them(monkeypatch: pytest.
     from tuning.experiments import beginning
     from tuning.experiments.outcome import Outcome
 
-    still = load_station(shipped_config("stations/paper_2009.toml")).adjusted(slowdown=3050.0, slowdown_reason="test")
+    still = load_station(shipped_config("stations/paper_2009.toml")).adjusted(slowdown=1300.0, slowdown_reason="test")
     medium, slow = beginning.Slide(80000, "medium", 55.0), beginning.Slide(80000, "slow", 20.0)
     asked: list[tuple[float, bool]] = []
     judged = beginning.dragged
 
     def watched(config: LodConfig, surface: Any, motion: Motion, station: Station, tool: Any) -> bool:
-        asked.append((station.slowdown / 3050.0, judged(config, surface, motion, station, tool)))
+        asked.append((station.slowdown / 1300.0, judged(config, surface, motion, station, tool)))
         return asked[-1][1]
 
     monkeypatch.setattr(beginning, "dragged", watched)
     out = Outcome()
-    beginning.draw_beginning(out, medium, slow, still, point(), 3.0)
+    beginning.draw_beginning(out, medium, slow, still, without_short_way(point()), 3.0)
     factors, found = zip(*asked, strict=True)
     assert list(factors) == pytest.approx(1.0 + 0.1 * np.arange(len(factors)))
     assert len(found) >= 2 and list(found) == [False] * (len(found) - 1) + [True]
     jumps, stays = out.rows
     assert jumps["slower"] == stays["slower"] == pytest.approx(factors[-1])
-    assert max(jumps["old_force_range_n"][:2]) > 1.0 and max(stays["old_force_range_n"]) < 0.01
+    assert max(jumps["old_force_range_n"][:2]) > beginning.DRAGGED_N and max(stays["old_force_range_n"]) < 0.01
     assert list(out.figures) == ["plane-80000-medium-slower"]
     assert f"{factors[-1]:g} times slower" in out.figures["plane-80000-medium-slower"].get_suptitle()
     monkeypatch.setattr(beginning, "MOST", 1.0)
     none = Outcome()
-    beginning.draw_beginning(none, medium, slow, still, point(), 3.0)
+    beginning.draw_beginning(none, medium, slow, still, without_short_way(point()), 3.0)
     assert none.rows == [] and none.figures == {}
 
 

@@ -63,9 +63,9 @@ def experiment_command(
     from tuning.report import needed
 
     needed()
-    from tuning.experiments.old_machine import slowdown_of
+    from tuning.experiments.old_machine import slowdown_of, without_short_way
 
-    held = load_tool(tool or shipped_config("tools/point.toml"))
+    held = without_short_way(load_tool(tool or shipped_config("tools/point.toml")))
     plain = load_station(shipped_config("stations/paper_2009.toml"))
     factor = slowdown or slowdown_of(plain, held)
     reason = "given" if slowdown else "assumed: 80000 triangles of the plane at 80 mm/s just miss 1 kHz"

@@ -29,6 +29,7 @@ from tuning.experiments.slides import slide_on_plane
 
 PERIOD_US = 1000.0
 MISSED_MM_S = 80.0
+ABOVE_MM = 0.3
 Array = NDArray[np.float64]
 
 
@@ -56,6 +57,18 @@ class Loop:
     def late_share(self) -> float:
         """Share of ticks that took longer than a period."""
         return float((self.cost_us > PERIOD_US).mean())
+
+
+def without_short_way(tool: Tool) -> Tool:
+    """The tool, for a machine whose ticks cost the more the faster the hand is.
+
+    A point on one face has a way of its own here, whose cost hardly grows with speed (docs/decisions.md D89); in 2009
+    there was none. A tool of several balls is never given that way: a second point, a little above, touches nothing.
+    """
+    if tool.balls > 1:
+        return tool
+    centres_mm = np.vstack([tool.centres_mm, tool.centres_mm + [0.0, 0.0, ABOVE_MM]])
+    return Tool(tool.name, centres_mm, np.repeat(tool.radii_mm, 2))
 
 
 def slowdown_of(station: Station, tool: Tool) -> float:
