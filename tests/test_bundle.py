@@ -263,6 +263,19 @@ def test_both_readers_judge_sealed_wrong_content_alike(parts: dict[str, Any], bu
     assert 10 < sum(verdicts) < len(verdicts) - 10
 
 
+@pytest.mark.parametrize("field", ["max_force_n", "engage_s"])
+def test_numbers_that_the_tick_would_take_for_0_are_refused(
+    parts: dict[str, Any], bundle_path: Path, field: str
+) -> None:
+    """A force limit of 1e-310 N was none: found by make fuzz."""
+    config = parts["config"].copy()
+    config[field] = 1e-310
+    write_bundle(bundle_path, **{**parts, "config": config})
+    with pytest.raises(InputError, match=f"{field} is so small"):
+        read_bundle(bundle_path)
+    assert f"{field} is so small" in run_station("inspect", bundle_path).stderr
+
+
 def test_brick_hash_is_the_runtimes(parts: dict[str, Any]) -> None:
     arrays = parts["levels"][0].arrays()
     bricks = np.frombuffer(arrays["bricks"], dtype=[("at", "<i4", 3), ("first", "<u4"), ("mask", "<u8")])

@@ -60,15 +60,24 @@ def config_fault(config: Any) -> str:
         return "flags or reserved fields are not 0"
     for field, (least, most) in _RANGES.items():
         value = np.asarray(config[field])
+        if _subnormal(value):
+            return f"{field} is so small that it counts as 0: say 0"
         if not ((value >= least) & (value <= most)).all():
             return f"{field} = {value.tolist()} is outside [{least:g}, {most:g}]"
     speeds = config["speeds_mm_s"][: count - 1]
+    if _subnormal(speeds):
+        return "speeds_mm_s is so small that it counts as 0: say 0"
     if not ((speeds >= 0) & (speeds <= 1e9)).all() or (np.diff(speeds) < 0).any():
         return f"speeds_mm_s = {speeds.tolist()} must be in [0, 1e9] and not decrease"
     balls = config["balls"][:count]
     if not ((balls >= 1) & (balls <= MAX_BALLS)).all():
         return f"balls = {balls.tolist()} is outside [1, {MAX_BALLS}]"
     return ""
+
+
+def _subnormal(values: np.ndarray) -> bool:
+    """The tick takes such numbers for 0, and a limit of 0 is none."""
+    return bool(((values != 0) & (np.abs(values) < np.finfo(np.float64).tiny)).any())
 
 
 def tool_fault(balls: np.ndarray) -> str:

@@ -6,6 +6,8 @@ namespace hapticlod {
 namespace {
 
 std::string number_fault(const char* name, double value, double least, double most) {
+    // The tick takes subnormal numbers for 0, and a limit of 0 is none.
+    if (std::fpclassify(value) == FP_SUBNORMAL) return std::string(name) + " is so small that it counts as 0: say 0";
     if (std::isfinite(value) && value >= least && value <= most) return {};
     return std::string(name) + " = " + std::to_string(value) + " is outside [" + std::to_string(least) + ", " +
            std::to_string(most) + "]";
