@@ -77,11 +77,11 @@ def _first_root(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 
 def touch_times(
-    triangles: np.ndarray, keep: np.ndarray, x: np.ndarray, step: np.ndarray, here: np.ndarray | None = None
+    triangles: np.ndarray, keep: np.ndarray, here: np.ndarray, x: np.ndarray, step: np.ndarray
 ) -> np.ndarray:
     """(m,) first t >= 0 at which x + t step comes within keep (m,) of each triangle; inf where it never does.
 
-    `here`: (m, 3) the triangles' closest points to x, where they are known.
+    `here`: (m, 3) the triangles' closest points to x.
     """
     edge = edges_of(triangles)
     first, back = triangles[:, 0], -edge[:, 2]
@@ -114,7 +114,6 @@ def touch_times(
     held = (length2 > 0.0) & (t >= 0.0) & (s >= 0.0) & (s <= 1.0)
     times = np.minimum(times, np.where(held, t, np.inf).min(axis=1))
     # Already nearer than keep: distance to a convex set is convex, so it blocks at once or never.
-    here = closest_points(triangles, x) if here is None else here
     d = length(x - here)
     slope = (x - here) @ step
     return np.where(d <= keep, np.where(slope < 0.0, 0.0, np.inf), times)
@@ -254,7 +253,7 @@ class Oracle:
             if np.linalg.norm(step) <= 2e-3 * self.skin:
                 settled = True
                 break
-            t = float(min(touch_times(triangles, kept - 0.1 * self.skin, x, step, here).min(initial=1.0), 1.0))
+            t = float(min(touch_times(triangles, kept - 0.1 * self.skin, here, x, step).min(initial=1.0), 1.0))
             x = x + t * step
             if t == 1.0 and not len(normals):
                 settled = True

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from embedding import REPOSITORY, build_tree, compiler, library, needed
-from plate_bundle import TEST_KEY, plate_parts
+from plate_bundle import TEST_KEY, plate_motion, plate_parts, rendered
 
 from hapticlod.bundle import write_bundle
+from hapticlod.motion import Motion
 from hapticlod.signature import new_key
 
 EXAMPLES = REPOSITORY / "examples"
@@ -37,12 +38,16 @@ def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
     """A bundle, a file that trusts its key, and what the example prints for it, by the Python module."""
-    folder, parts = tmp_path_factory.mktemp("bundle"), plate_parts(ticks=200)
-    write_bundle(folder / "plate.hlod", **parts)
+    folder, parts = tmp_path_factory.mktemp("bundle"), plate_parts(ticks=10)
+    time_s = np.arange(101) / 1000.0
+    down = np.stack([0 * time_s, 0 * time_s, 20.0 + 5.0 - 100.0 * time_s], 1)
+    motion = Motion(time_s, down, plate_motion(101).orientation, 1000.0, "down", {})
+    rows = rendered(parts["levels"], parts["config"], parts["tool"], motion)
+    write_bundle(folder / "plate.hlod", **{**parts, "golden_motion": motion, "golden_record": rows})
     (folder / "keys").write_text(TEST_KEY.public_line + "\n")
     (folder / "keys").chmod(0o644)
-    most_n = float(np.linalg.norm(parts["golden_record"]["force_n"], axis=1).max())
-    assert most_n > 0.3
+    most_n = float(np.linalg.norm(rows["force_n"], axis=1).max())
+    assert most_n > 1.0
     return folder / "plate.hlod", folder / "keys", f"{most_n:.6f}\n"
 
 

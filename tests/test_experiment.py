@@ -118,13 +118,13 @@ def test_jumps_are_drawn_on_the_first_machine_that_has_them(monkeypatch: pytest.
     from tuning.experiments import beginning
     from tuning.experiments.outcome import Outcome
 
-    still = load_station(shipped_config("stations/paper_2009.toml")).adjusted(slowdown=1300.0, slowdown_reason="test")
+    still = load_station(shipped_config("stations/paper_2009.toml")).adjusted(slowdown=1376.0, slowdown_reason="test")
     medium, slow = beginning.Slide(80000, "medium", 55.0), beginning.Slide(80000, "slow", 20.0)
     asked: list[tuple[float, bool]] = []
     judged = beginning.dragged
 
     def watched(config: LodConfig, surface: Any, motion: Motion, station: Station, tool: Any) -> bool:
-        asked.append((station.slowdown / 1300.0, judged(config, surface, motion, station, tool)))
+        asked.append((station.slowdown / 1376.0, judged(config, surface, motion, station, tool)))
         return asked[-1][1]
 
     monkeypatch.setattr(beginning, "dragged", watched)
@@ -135,7 +135,7 @@ def test_jumps_are_drawn_on_the_first_machine_that_has_them(monkeypatch: pytest.
     assert len(found) >= 2 and list(found) == [False] * (len(found) - 1) + [True]
     jumps, stays = out.rows
     assert jumps["slower"] == stays["slower"] == pytest.approx(factors[-1])
-    assert max(jumps["old_force_range_n"][:2]) > beginning.DRAGGED_N and max(stays["old_force_range_n"]) < 0.01
+    assert max(jumps["old_force_range_n"][:2]) > 1.0 and max(stays["old_force_range_n"]) < 0.01
     assert list(out.figures) == ["plane-80000-medium-slower"]
     assert f"{factors[-1]:g} times slower" in out.figures["plane-80000-medium-slower"].get_suptitle()
     monkeypatch.setattr(beginning, "MOST", 1.0)

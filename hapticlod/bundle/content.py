@@ -58,15 +58,14 @@ def config_fault(config: Any) -> str:
             return f"{field} = {config[field]} is not known"
     if config["flags"] != 0 or (config["reserved"] != 0).any():
         return "flags or reserved fields are not 0"
+    speeds = config["speeds_mm_s"][: count - 1]
+    for field, values in [*((name, np.asarray(config[name])) for name in _RANGES), ("speeds_mm_s", speeds)]:
+        if _subnormal(values):
+            return f"{field} is so small that it counts as 0: say 0"
     for field, (least, most) in _RANGES.items():
         value = np.asarray(config[field])
-        if _subnormal(value):
-            return f"{field} is so small that it counts as 0: say 0"
         if not ((value >= least) & (value <= most)).all():
             return f"{field} = {value.tolist()} is outside [{least:g}, {most:g}]"
-    speeds = config["speeds_mm_s"][: count - 1]
-    if _subnormal(speeds):
-        return "speeds_mm_s is so small that it counts as 0: say 0"
     if not ((speeds >= 0) & (speeds <= 1e9)).all() or (np.diff(speeds) < 0).any():
         return f"speeds_mm_s = {speeds.tolist()} must be in [0, 1e9] and not decrease"
     balls = config["balls"][:count]
