@@ -13,7 +13,7 @@ from hapticlod.shipped import shipped_config
 from hapticlod.station import Station, load_station
 from tuning.confirm import Clock
 from tuning.explain import agreement
-from tuning.explore import RESCUES, ROUNDS, Candidate, explore
+from tuning.explore import MORE, RESCUES, ROUNDS, Candidate, explore
 from tuning.search import Found
 
 BUDGET_US = 600.0
@@ -95,6 +95,16 @@ def test_predicted_and_measured_agree_in_the_end(share: float) -> None:
     assert 0.9 * BUDGET_US < cost <= BUDGET_US
     assert f"measured were {cost:.3g} us, {100 * best.disagreement:.1f} % apart" in agreement(best)
     assert agreement(replace(best, expected_us=None)) == ""
+
+
+def test_a_tail_that_trembles_is_not_drawn_on() -> None:
+    """Of three like configurations one is measured a fifth cheaper; what it costs then rises as predicted."""
+    made, asked = explored(
+        lambda predicted_us: 0.92 if predicted_us < 605.0 else 0.75 if predicted_us < 650.0 else 0.77
+    )
+    assert all(later <= MORE * earlier + 1e-9 for earlier, later in pairwise(asked))
+    best = min((c for c in made if c.feasible), key=lambda c: c.objective)
+    assert 0.95 * BUDGET_US < best.measured["loop_cost_p999_us"] <= BUDGET_US
 
 
 @pytest.mark.parametrize("share", [0.96, 1.0])

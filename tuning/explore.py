@@ -16,7 +16,7 @@ from tuning.search import Found, Limits, Search
 from tuning.sensitivity import Optimum
 from tuning.verify import Verifier
 
-ROUNDS = 3  # measurements of one level count
+ROUNDS = 4  # measurements of one level count
 RESCUES = 5  # further ones while nothing that was measured holds the budget
 AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
 # A level count is not measured if it could not win even were it better than predicted by this factor.
@@ -25,6 +25,8 @@ HOPE = 0.7
 ALIKE = 1e-3
 # How much less is asked for, at least, after one measurement over the budget, and after several in a row.
 LESS, MUCH_LESS = 0.95, 0.7
+# How much more is asked for, at most, than what held: two noisy tails once made a slope that asked for three times it.
+MORE = 1.5
 # Slopes of ln (measured / predicted) along ln budget that are believed, and how near to the ends of a bracket one goes.
 _SLOPES, _INSET = (-0.8, 3.0), 0.05
 
@@ -153,7 +155,7 @@ class Correction:
             self.held, self.misses = max(self.held, self.value), 0
             if cost_us(candidate) > (1.0 - AGREE) * station.budget_us or share < 1.0 - AGREE:
                 return False
-            wanted = max(wanted, (1.0 + 0.5 * AGREE) * self.value)
+            wanted = float(np.clip(wanted, (1.0 + 0.5 * AGREE) * self.value, MORE * self.value))
         else:
             self.broke, self.misses = min(self.broke, self.value), self.misses + 1
             wanted = min(wanted, (LESS if self.misses == 1 else MUCH_LESS) * self.value)
