@@ -2,8 +2,7 @@
 
 Ours runs cold, from the scan to its answer. Every other method then has its evaluations (random search 2.5 times as
 many) on the same motions; shown is what it had found when ours was done, and at its end. The best of each is measured
-once more, since the best of many noisy timings is better than it will ever be again; regret is ours less the least of
-these. Packages: the extra `bench`.
+once more; regret is ours less the least of these. Costs are by counters, for all alike. Packages: the extra `bench`.
 """
 
 from __future__ import annotations
@@ -98,6 +97,7 @@ def _compared(
     from benchmarks.black_box import METHODS, Trials
     from benchmarks.inputs import load_inputs
     from hapticlod.scan import load_scan
+    from tuning.objective import holds
     from tuning.prepare import prepare
     from tuning.tune import tune
     from tuning.verify import Verifier
@@ -114,11 +114,13 @@ def _compared(
     counts = [k for k in range(1, ready.space.most_levels + 1) if ready.space.fits(k)] or [1]
 
     rows: dict[str, dict[str, Any]] = {}
-    leaders = {OURS: [(c.config, c.objective) for c in result.candidates if c.feasible]}
+    # By counters, as the others': what the clock refuses of it depends on what else this machine does.
+    ours = sorted((c for c in result.candidates if holds(c.measured, target)), key=lambda c: c.objective)
+    leaders = {OURS: [(c.config, c.objective) for c in ours]}
     rows[OURS] = {
         # Candidates, of which the finest level is one, and two more baselines.
         "evaluations": len(result.candidates) + 2, "seconds": ours_s, "best_in_our_time": leaders[OURS][0][1],
-        "best": leaders[OURS][0][1],
+        "best": leaders[OURS][0][1], "chosen": result.candidates[0].objective,
     }  # fmt: skip
     for name, (method, factor) in METHODS.items():
         told(name, 0.0)
@@ -134,8 +136,8 @@ def _compared(
     for name, best in leaders.items():
         rows[name] |= _again(best, verifier, target)
     held_again = {name: row["again"] for name, row in rows.items() if row["again"] is not None}
-    ours, least = rows[OURS]["again"], min(held_again.values(), default=None)
-    regret = None if ours is None or least is None else ours - least
+    again, least = rows[OURS]["again"], min(held_again.values(), default=None)
+    regret = None if again is None or least is None else again - least
     return {
         "scan": cleaned.name, "triangles": cleaned.triangles, "tool": held.name, "station": target.name,
         "budget_us": target.budget_us, "seed": seed, "methods": rows, "regret": regret,
@@ -179,7 +181,11 @@ def _verdict(found: Mapping[str, Any]) -> str:
     relative = found["regret_relative"]
     part = "" if relative is None else f" ({100 * relative:.1f} %)"
     configs = found["methods"][OURS]["evaluations"]
-    return f"regret {found['regret']:.4f}{part} against the best of all, with {configs} measured configurations"
+    regret = f"regret {found['regret']:.4f}{part} against the best of all, with {configs} measured configurations"
+    chosen = found["methods"][OURS]["chosen"]
+    if chosen > found["methods"][OURS]["best"]:
+        regret += f"; the clock refused ours, so that tuning answered {chosen:.4f}; it was not asked of the others'"
+    return regret
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import pytest
 from hapticlod.config import Level, LodConfig
 from hapticlod.shipped import shipped_config
 from hapticlod.station import Station, load_station
-from tuning.confirm import Clock
+from tuning.confirm import Clock, confirmed
 from tuning.explain import agreement
 from tuning.explore import MORE, RESCUES, ROUNDS, Candidate, explore
 from tuning.search import Found
@@ -145,3 +145,25 @@ def test_the_clock_has_the_last_word() -> None:
     name, asked, ratio = asked_clock({"2": 649.0, "4": 330.0}, four, 5)
     assert (name, asked) == ("4", ["2", "4"]) and ratio == pytest.approx(1.1)
     assert asked_clock({"2": 649.0}, four, 1) == (None, ["2"], pytest.approx(1.1))
+
+
+@pytest.mark.parametrize(("cheap_us", "rounds"), [(330.0, 2), (510.0, 1)])
+def test_what_the_clock_leaves_of_the_budget_is_used(cheap_us: float, rounds: int) -> None:
+    """The clock says a tenth more than the counters. A poor candidate is not taken as long as a better may be had."""
+    budgets: list[float] = []
+
+    def search(allowed: Station, near: Any) -> list[Candidate]:
+        budgets.append(allowed.budget_us)
+        return [candidate(600.0 / (0.98 * allowed.budget_us), 0.98 * allowed.budget_us)]
+
+    class Tenth:
+        def clocked(self, config: LodConfig, within_us: float) -> dict[str, float]:
+            cost_us = cheap_us if config.name == "7" else 600.0 / float(config.name)
+            return {"loop_cost_p999_us": 1.1 * cost_us}
+
+    verifier: Any = Tenth()
+    candidates = [candidate(7.0, cheap_us)]
+    found = confirmed(search, candidates, Clock(verifier, station()), station())
+    assert budgets == pytest.approx([600.0, 0.98 * 600.0 / 1.1][:rounds], rel=1e-5)
+    assert found is not None and (found[0].objective == 7.0) == (rounds == 1)
+    assert found[1]["loop_cost_p999_us"] <= BUDGET_US

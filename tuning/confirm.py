@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hapticlod.station import Station
-from tuning.explore import Candidate, cost_us
+from tuning.explore import AGREE, Candidate, cost_us
 from tuning.objective import holds
 from tuning.verify import Verifier
 
+# How often the search goes on with a smaller budget because the clock says more than the counters, and how many
+# configurations that hold the budget by their counters are asked of the clock each time.
+CLOCK_ROUNDS, ASKED = 3, 2
 # A level more must be worth this, JND: of two that feel alike the simpler is told.
 LEVEL_WORTH = 1e-3
+
+
+Explore = Callable[[Station, Mapping[int, NDArray[np.float64]]], list[Candidate]]
 
 
 def merit(candidate: Candidate) -> float:
@@ -52,3 +61,30 @@ class Clock:
                 return candidate, said
             self.ratio = max(self.ratio, said["loop_cost_p999_us"] / cost_us(candidate))
         return None
+
+
+def confirmed(
+    explore: Explore, candidates: list[Candidate], clock: Clock, station: Station
+) -> tuple[Candidate, dict[str, float]] | None:
+    """Searches until the best that holds the budget by counters holds it by the clock, or uses what the clock leaves.
+
+    What was measured is added to `candidates`. `explore` is told the station, with what the clock leaves of its budget,
+    and where to begin, by level count. None: nothing holds.
+    """
+    near: dict[int, NDArray[np.float64]] = {}
+    found = None
+    for left in reversed(range(CLOCK_ROUNDS)):
+        # Counters are right in proportion; where the clock says more, the best level counts are asked for less.
+        ratio = clock.ratio
+        candidates += explore(
+            station if ratio == 1.0 else station.adjusted(budget_us=0.98 * station.budget_us / ratio), near
+        )
+        found = clock.first(candidates, ASKED if left else len(candidates))
+        if clock.ratio == ratio:
+            break
+        if found is not None and cost_us(found[0]) * clock.ratio > (1.0 - 2.0 * AGREE) * station.budget_us:
+            break
+        searched = [c for c in candidates if c.optimum is not None]
+        leaders = sorted(searched, key=lambda c: (not c.feasible, c.objective))[:ASKED]
+        near = {c.optimum.levels: c.optimum.x for c in leaders if c.optimum is not None}
+    return found

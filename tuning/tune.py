@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from hapticlod.station import Station
 from hapticlod.tool import Tool
 from tuning.baselines import baselines as baseline_configs
 from tuning.compile_cache import keep_compiled
-from tuning.confirm import Clock, merit
+from tuning.confirm import Clock, confirmed, merit
 from tuning.explain import agreement, explain
 from tuning.explore import Candidate, Judge, cost_us, explore, limits_of
 from tuning.objective import holds
@@ -29,9 +29,6 @@ from tuning.search import Search
 from tuning.sensitivity import sensitivities, sentence
 from tuning.verify import Verifier
 
-# How often the search goes on with a smaller budget because the clock says more than the counters, and how many
-# configurations that hold the budget by their counters are asked of the clock each time.
-CLOCK_ROUNDS, ASKED = 3, 2
 SHOWN_S = 2.0  # what a baseline that cannot be chosen may cost to measure, s of loop cost
 
 
@@ -112,19 +109,14 @@ def tune(
 
     counts = [k for k in range(levels[0], levels[1] + 1) if ready.space.fits(k)] or [1]
     baselines, ticks, candidates = _baselines(ready, verifier, tool, station, judged, stages)
-    clock, found = Clock(verifier, station), None
-    near: dict[int, NDArray[np.float64]] = {}
-    for left in reversed(range(CLOCK_ROUNDS)):
-        # Counters are right in proportion; where the clock says more, the best level counts are asked for less.
-        allowed = station if clock.ratio == 1.0 else station.adjusted(budget_us=0.98 * station.budget_us / clock.ratio)
-        candidates += explore(search, verifier, ready, allowed, list(near) or counts, seed, stages, judged, near)
+    clock = Clock(verifier, station)
+
+    def explored(allowed: Station, near: Mapping[int, NDArray[np.float64]]) -> list[Candidate]:
+        made = explore(search, verifier, ready, allowed, list(near) or counts, seed, stages, judged, near)
         stages("ask the clock", 0.0)
-        found = clock.first(candidates, ASKED if left else len(candidates))
-        if found is not None or clock.ratio == 1.0:
-            break
-        best = sorted((c.objective, i) for i, c in enumerate(candidates) if c.optimum is not None)[:ASKED]
-        leaders = [optimum for _, i in best if (optimum := candidates[i].optimum) is not None]
-        near = {optimum.levels: optimum.x for optimum in leaders}
+        return made
+
+    found = confirmed(explored, candidates, clock, station)
     if found is None:
         raise _nothing_fits(candidates, station, clock.ratio)
     chosen, said = found
