@@ -28,6 +28,10 @@ def merit(candidate: Candidate) -> float:
     return candidate.objective + LEVEL_WORTH * len(candidate.config.levels)
 
 
+def _promise(candidate: Candidate) -> tuple[bool, float]:
+    return not candidate.feasible, candidate.objective
+
+
 @dataclass
 class Clock:
     """Asks the clock, and remembers by how much it once exceeded the counters.
@@ -85,6 +89,6 @@ def confirmed(
         if found is not None and cost_us(found[0]) * clock.ratio > (1.0 - 2.0 * AGREE) * station.budget_us:
             break
         searched = [c for c in candidates if c.optimum is not None]
-        leaders = sorted(searched, key=lambda c: (not c.feasible, c.objective))[:ASKED]
+        leaders = sorted(searched, key=_promise)[:ASKED]
         near = {c.optimum.levels: c.optimum.x for c in leaders if c.optimum is not None}
     return found

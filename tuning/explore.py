@@ -18,13 +18,14 @@ from tuning.verify import Verifier
 
 ROUNDS = 4  # measurements of one level count
 RESCUES = 5  # further ones while nothing that was measured holds the budget
+FINISH = 3  # and of the best level count, to use what is left of the budget
 AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
+CLOSE = 0.015  # what of the budget the answer may leave unused before it is tried to use it
 # A level count is not measured if it could not win even were it better than predicted by this factor.
 HOPE = 0.7
 # Nor if fewer levels were predicted as good to this, JND or noticed jumps per second: one more is hardly used.
 ALIKE = 1e-3
-# How much less is asked for, at least, after one measurement over the budget, and after several in a row.
-LESS, MUCH_LESS = 0.95, 0.7
+MUCH_LESS = 0.7  # how much less is asked for, at least, after several measurements over the budget in a row
 # How much more is asked for, at most, than what held: two noisy tails once made a slope that asked for three times it.
 MORE = 1.5
 # Slopes of ln (measured / predicted) along ln budget that are believed, and how near to the ends of a bracket one goes.
@@ -86,6 +87,7 @@ def explore(
     stages("optimise", 0.0)
     every = search.best_of_each(counts, limits_of(station, 1.0), seed, near or {})
     correction = 1.0
+    ended: dict[int, tuple[Found, Correction]] = {}
     for count in sorted(counts, key=lambda k: every[k].rank):
         if HOPE * every[count].objective > best() or _hardly_used(every, count):
             continue
@@ -104,6 +106,19 @@ def explore(
             stages("optimise", len(made) / (len(counts) * ROUNDS))
             found = search.best(count, limits_of(station, asked.value), seed + turn + 1, found.x)
         correction = asked.value
+        ended[count] = found, asked
+    winner = min((c for c in made if c.feasible), key=lambda c: c.objective, default=None)
+    if winner is None or winner.optimum is None or cost_us(winner) > (1.0 - CLOSE) * station.budget_us:
+        return made
+    found, asked = ended[winner.optimum.levels]
+    for _ in range(FINISH):
+        if not asked.goes_on(station, CLOSE):
+            break
+        stages("optimise", 0.95)
+        found = search.best(winner.optimum.levels, limits_of(station, asked.value), seed, found.x)
+        asked.take(measured(winner.optimum.levels, found, asked))
+        if any(made[-1].config == other.config for other in made[:-1]):
+            break
     return made
 
 
@@ -122,7 +137,7 @@ class Correction:
     Attributes:
         value: that is in use. held, broke: the largest that was measured within the budget, the least that was not.
         misses: measurements over the budget in a row.
-        factors: ln value and ln measured over predicted cost, of every measurement.
+        factors: ln value and ln measured over predicted cost, of every measurement. last: of them.
     """
 
     value: float
@@ -130,6 +145,7 @@ class Correction:
     broke: float = np.inf
     misses: int = 0
     factors: list[tuple[float, float]] = field(default_factory=list)
+    last: Candidate | None = None
 
     def expected_us(self, predicted_us: float) -> float:
         """What a cost that is predicted at the value in use should be measured as."""
@@ -146,23 +162,36 @@ class Correction:
 
     def corrected(self, candidate: Candidate, station: Station) -> bool:
         """Takes a measurement in. False: it is as near to the budget as makes sense, or the budget does not bind."""
+        self.take(candidate)
+        return self.goes_on(station, AGREE)
+
+    def take(self, candidate: Candidate) -> None:
+        """Learns from what was measured at the value in use."""
+        self.last = candidate
         predicted_us = candidate.predicted["loop_cost_p999_us"]
         self.factors.append((float(np.log(self.value)), float(np.log(cost_us(candidate) / predicted_us))))
-        at, factor, slope = self._line()
-        share = predicted_us / (self.value * station.budget_us)
-        wanted = float(np.exp(at + (np.log((1.0 - 0.5 * AGREE) / share) - factor - at) / (1.0 + slope)))
         if candidate.feasible:
             self.held, self.misses = max(self.held, self.value), 0
-            if cost_us(candidate) > (1.0 - AGREE) * station.budget_us or share < 1.0 - AGREE:
-                return False
-            wanted = float(np.clip(wanted, (1.0 + 0.5 * AGREE) * self.value, MORE * self.value))
         else:
             self.broke, self.misses = min(self.broke, self.value), self.misses + 1
-            wanted = min(wanted, (LESS if self.misses == 1 else MUCH_LESS) * self.value)
-        if self.held > 0.0 and self.broke < np.inf:
-            if self.broke < (1.0 + 0.5 * AGREE) * self.held:
+
+    def goes_on(self, station: Station, near: float) -> bool:
+        """Sets the value that should meet the budget. False: the last is within `near` of it, or it does not bind."""
+        assert self.last is not None
+        at, factor, slope = self._line()
+        value = float(np.exp(at))
+        share = self.last.predicted["loop_cost_p999_us"] / (value * station.budget_us)
+        wanted = float(np.exp(at + (np.log((1.0 - 0.5 * near) / share) - factor - at) / (1.0 + slope)))
+        if self.last.feasible:
+            if cost_us(self.last) > (1.0 - near) * station.budget_us or share < 1.0 - AGREE:
                 return False
-            inset = _INSET * np.log(self.broke / self.held)
+            wanted = float(np.clip(wanted, (1.0 + 0.5 * near) * value, MORE * value))
+        else:
+            wanted = min(wanted, (1.0 - near if self.misses == 1 else MUCH_LESS) * value)
+        if self.held > 0.0 and self.broke < np.inf:
+            if self.broke < (1.0 + 0.5 * near) * self.held:
+                return False
+            inset = min(_INSET * np.log(self.broke / self.held), 0.5 * near)
             wanted = float(np.clip(wanted, self.held * np.exp(inset), self.broke * np.exp(-inset)))
         self.value = float(np.clip(wanted, 0.03, 3.0))
         return True
