@@ -73,10 +73,13 @@ def test_the_papers_is_one_measurement():
 
 
 def test_regret_is_ours_less_the_least_of_all():
-    found = {"regret": 0.1, "regret_relative": 0.05, "methods": {"ours": {"evaluations": 9}}}
+    ours = {"evaluations": 9, "best": 2.0, "chosen": 2.0}
+    found = {"regret": 0.1, "regret_relative": 0.05, "methods": {"ours": ours}}
     assert (
         bench_tuners._verdict(found) == "regret 0.1000 (5.0 %) against the best of all, with 9 measured configurations"
     )
+    refused = bench_tuners._verdict({**found, "methods": {"ours": {**ours, "chosen": 2.5}}})
+    assert "the clock refused ours, so that tuning answered 2.5000" in refused
     assert "no regret" in bench_tuners._verdict({**found, "regret": None})
 
 
