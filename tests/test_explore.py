@@ -12,7 +12,7 @@ from hapticlod.config import Level, LodConfig
 from hapticlod.shipped import shipped_config
 from hapticlod.station import Station, load_station
 from tuning.confirm import Clock, confirmed
-from tuning.explain import agreement
+from tuning.explain import agreement, refusal
 from tuning.explore import MORE, RESCUES, ROUNDS, Candidate, explore
 from tuning.search import Found
 
@@ -127,7 +127,7 @@ def test_a_level_that_is_predicted_to_do_nothing_is_not_measured() -> None:
 
 
 def candidate(objective: float, cost_us: float) -> Candidate:
-    metrics = {"loop_cost_p999_us": cost_us, "memory_mb": 10.0}
+    metrics = {"loop_cost_p999_us": cost_us, "memory_mb": 10.0, "felt_error_jnd": objective}
     config = LodConfig(name=f"{objective:g}", levels=(Level(triangles=1000, cell_mm=1.0, balls=1),))
     return Candidate(config, {}, metrics, objective, cost_us <= BUDGET_US)
 
@@ -174,3 +174,11 @@ def test_what_the_clock_leaves_of_the_budget_is_used(cheap_us: float, rounds: in
     assert budgets == pytest.approx([600.0, 0.98 * 600.0 / 1.1][:rounds], rel=1e-5)
     assert found is not None and (found[0].objective == 7.0) == (rounds == 1)
     assert found[1]["loop_cost_p999_us"] <= BUDGET_US
+
+
+def test_what_the_clock_refused_is_told() -> None:
+    chosen, better, over = candidate(3.0, 400.0), candidate(2.0, 590.0), candidate(1.0, 700.0)
+    said = refusal(chosen, [over, chosen, better], 1.3, {"load_others_cores": 1.5}, station())
+    assert "590 us), but the clock said up to 1.30 times" in said and "1.5 cores busy: tune again" in said
+    assert "busy" not in refusal(chosen, [chosen, better], 1.3, {"load_others_cores": 0.1}, station())
+    assert refusal(better, [over, chosen, better], 1.0, {}, station()) == ""

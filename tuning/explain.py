@@ -5,10 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from tuning.objective import holds
+
 if TYPE_CHECKING:
     from hapticlod.station import Station
     from hapticlod.tool import Tool
     from tuning.tune import Candidate
+
+
+# A refusal by the clock is told where it cost this part of the objective, and the machine is called busy where other
+# programs kept so many of its cores.
+TOLD, BUSY_CORES = 0.02, 0.3
 
 
 def explain(
@@ -59,4 +66,28 @@ def agreement(chosen: Candidate) -> str:
     told = f"The model, corrected by what had been measured before, expected {chosen.expected_us:.3g} us at p99.9"
     return (
         f"{told}; measured were {chosen.measured['loop_cost_p999_us']:.3g} us, {100 * chosen.disagreement:.1f} % apart."
+    )
+
+
+def refusal(
+    chosen: Candidate, candidates: Sequence[Candidate], ratio: float, clock: Mapping[str, float], station: Station
+) -> str:
+    """What the clock refused although it holds the budget by its counters; empty where that is hardly better.
+
+    `ratio`: of times to counted costs. `clock`: what was said of the chosen, with the machine's load.
+    """
+    held = [c for c in candidates if holds(c.measured, station)]
+    best = min(held, key=lambda c: c.objective, default=chosen)
+    if best.objective >= (1.0 - TOLD) * chosen.objective:
+        return ""
+    cores = clock.get("load_others_cores", 0.0)
+    busy = (
+        f" while other programs kept {cores:.1f} cores busy: tune again on a quiet machine"
+        if cores > BUSY_CORES
+        else ""
+    )
+    return (
+        f"By its counters a configuration with a felt error of {best.measured['felt_error_jnd']:.2f} JND holds the "
+        f"budget, too ({best.measured['loop_cost_p999_us']:.3g} us), but the clock said up to {ratio:.2f} times as "
+        f"much as the counters{busy}."
     )

@@ -19,7 +19,7 @@ from hapticlod.tool import Tool
 from tuning.baselines import baselines as baseline_configs
 from tuning.compile_cache import keep_compiled
 from tuning.confirm import Clock, confirmed, merit
-from tuning.explain import agreement, explain
+from tuning.explain import agreement, explain, refusal
 from tuning.explore import Candidate, Judge, cost_us, explore, limits_of
 from tuning.objective import holds
 from tuning.population import POOLED, check_over, measured_each, measured_objective
@@ -128,7 +128,8 @@ def tune(
     answers = sensitivities(search, ready.space, chosen.optimum, station)
     stages.close()
     reason = explain(ranked, baselines, station, scan.triangles, tool)
-    reasons = reason, agreement(chosen), sentence(answers, station)
+    refused = refusal(chosen, candidates, clock.ratio, said, station)
+    reasons = reason, agreement(chosen), refused, sentence(answers, station)
     return TuneResult(
         config=chosen.config.changed(name="tuned"),
         predicted=predicted,
