@@ -276,6 +276,16 @@ def test_numbers_that_the_tick_would_take_for_0_are_refused(
     assert f"{field} is so small" in run_station("inspect", bundle_path).stderr
 
 
+def test_a_bundle_without_a_force_limit_is_refused(parts: dict[str, Any], bundle_path: Path) -> None:
+    """For the core 0 is no limit, and what the C ABI and a device may only lower would have stayed none."""
+    config = parts["config"].copy()
+    config["max_force_n"] = 0.0
+    write_bundle(bundle_path, **{**parts, "config": config})
+    with pytest.raises(InputError, match="max_force_n = 0 would be no limit"):
+        read_bundle(bundle_path)
+    assert "max_force_n = 0 would be no limit" in run_station("inspect", bundle_path).stderr
+
+
 def test_brick_hash_is_the_runtimes(parts: dict[str, Any]) -> None:
     arrays = parts["levels"][0].arrays()
     bricks = np.frombuffer(arrays["bricks"], dtype=[("at", "<i4", 3), ("first", "<u4"), ("mask", "<u8")])

@@ -66,6 +66,8 @@ def config_fault(config: Any) -> str:
         value = np.asarray(config[field])
         if not ((value >= least) & (value <= most)).all():
             return f"{field} = {value.tolist()} is outside [{least:g}, {most:g}]"
+    if not config["max_force_n"] > 0:
+        return "max_force_n = 0 would be no limit: a bundle must have one"
     if not ((speeds >= 0) & (speeds <= 1e9)).all() or (np.diff(speeds) < 0).any():
         return f"speeds_mm_s = {speeds.tolist()} must be in [0, 1e9] and not decrease"
     balls = config["balls"][:count]

@@ -20,9 +20,11 @@ constexpr std::size_t kBlocksAtOnce = 16384;  // checked by one job
 constexpr std::size_t kMostHeadBytes = sizeof(BundleHeader) + kMaxSections * sizeof(SectionEntry);
 constexpr std::size_t kDigestsTake = 4;  // times the reading of the same bytes
 
-// What core's check_config leaves open: fields that later formats may give a meaning must be 0 in this one.
+// What core's check_config leaves open: a limit of 0 is none for it, which who carries a bundle to a device must not
+// rely on; and fields that later formats may give a meaning must be 0 in this one.
 std::string config_fault(const ConfigData& config) {
     if (std::string reason = check_config(config); !reason.empty()) return reason;
+    if (!(config.max_force_n > 0.0)) return "max_force_n = 0 would be no limit: a bundle must have one";
     const bool zero =
         std::all_of(std::begin(config.reserved), std::end(config.reserved), [](double v) { return v == 0.0; });
     return zero && config.flags == 0 ? "" : "flags or reserved fields are not 0";
