@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -284,6 +285,17 @@ def test_a_bundle_without_a_force_limit_is_refused(parts: dict[str, Any], bundle
     with pytest.raises(InputError, match="max_force_n = 0 would be no limit"):
         read_bundle(bundle_path)
     assert "max_force_n = 0 would be no limit" in run_station("inspect", bundle_path).stderr
+
+
+@pytest.mark.parametrize("field", ["centres_mm", "radii_mm"])
+def test_a_ball_beyond_any_tool_is_refused(parts: dict[str, Any], bundle_path: Path, field: str) -> None:
+    """Differences of such places are infinite, and the tree of balls was ordered by them: found by make fuzz."""
+    far = getattr(parts["tool"], field).copy()
+    far[0] = 1e308
+    write_bundle(bundle_path, **{**parts, "tool": replace(parts["tool"], **{field: far})})
+    with pytest.raises(InputError, match="ball 0 reaches beyond"):
+        read_bundle(bundle_path)
+    assert "ball 0 reaches beyond" in run_station("inspect", bundle_path).stderr
 
 
 def test_brick_hash_is_the_runtimes(parts: dict[str, Any]) -> None:

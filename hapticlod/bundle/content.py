@@ -86,7 +86,11 @@ def tool_fault(balls: np.ndarray) -> str:
     if not 1 <= len(balls) <= MAX_BALLS:
         return f"{len(balls)} balls, expected 1 to {MAX_BALLS}"
     good = np.isfinite(balls["centre_mm"]).all(axis=1) & np.isfinite(balls["radius_mm"]) & (balls["radius_mm"] >= 0)
-    return "" if good.all() else f"ball {int(np.argmin(good))} is not finite or has a negative radius"
+    if not good.all():
+        return f"ball {int(np.argmin(good))} is not finite or has a negative radius"
+    reach = np.hypot(np.hypot(balls["centre_mm"][:, 0], balls["centre_mm"][:, 1]), balls["centre_mm"][:, 2])
+    near = (reach <= _MOST_COORDINATE_MM) & (balls["radius_mm"] <= _MOST_COORDINATE_MM)
+    return "" if near.all() else f"ball {int(np.argmin(near))} reaches beyond 10^9 mm"
 
 
 def motion_fault(rows: np.ndarray) -> str:

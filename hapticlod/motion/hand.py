@@ -56,18 +56,6 @@ def travelled_mm(path_length_mm: float, speed_mm_s: Array) -> Array:
     return path_length_mm - np.abs(path_length_mm - np.mod(travelled, 2.0 * path_length_mm))
 
 
-def touched_path(surface: Surface, walked: Path, radius_mm: float) -> tuple[Path, Array]:
-    """The places of the reference ball's centre along a walk, evenly spaced, with their own length; and normals."""
-    fine_mm = 0.5 * walked.walked_mm[-1] / max(len(walked.walked_mm) - 1, 1)
-    keep = np.concatenate([[True], np.diff(walked.walked_mm) > 1e-9])
-    at = np.arange(0.0, walked.walked_mm[-1], fine_mm)
-    curve = CubicSpline(walked.walked_mm[keep], walked.points_mm[keep])
-    places, normals = surface.project(np.asarray(curve(at)))
-    centres = surface.resting(places, normals, radius_mm)
-    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centres, axis=0), axis=1))])
-    return Path(centres, lengths), normals
-
-
 def hand_motion(
     surface: Surface,
     track: Path,
@@ -147,8 +135,11 @@ def _followed(surface: Surface, touched: Array, radius_mm: float) -> Array:
     """
     smooth = low_passed(touched, _FOLLOW_HZ, BASE_HZ)
     knots = np.arange(0, len(touched), _EVERY)
-    places, normals = surface.project(smooth[knots])
-    height = np.einsum("ij,ij->i", smooth[knots] - places, normals) - radius_mm
+    if surface.carries(radius_mm):
+        height = surface.clearance_mm(smooth[knots]) - radius_mm
+    else:
+        places, normals = surface.project(smooth[knots])
+        height = np.einsum("ij,ij->i", smooth[knots] - places, normals) - radius_mm
     sunk = np.repeat(height < -0.25 * surface.spacing_mm, _EVERY)[: len(touched)]
     followed = low_passed(smooth + _softened(sunk, 0.015)[:, None] * (touched - smooth), 2.5 * _FOLLOW_HZ, BASE_HZ)
     sampled = followed[knots]

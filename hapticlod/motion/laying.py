@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from hapticlod.errors import InputError
-from hapticlod.motion.hand import Press, hand_motion, touched_path
+from hapticlod.motion.hand import Press, hand_motion
 from hapticlod.motion.motion import Motion
 from hapticlod.motion.smooth import low_passed
 from hapticlod.motion.strokes import BASE_HZ
 from hapticlod.motion.surface import ScanLike, surface_of
 from hapticlod.motion.synthesise import Turns
-from hapticlod.motion.walk import start_on, step_for, walk
+from hapticlod.motion.track import track_over
+from hapticlod.motion.walk import step_for
 from hapticlod.tool import Tool, point
 
 Array = NDArray[np.float64]
@@ -74,10 +75,8 @@ def lay_on_scan(
     travelled = np.cumsum(speed) / BASE_HZ
     step_mm = step_for(surface, float(travelled[-1]), float(at_s[-1]))
     rng = np.random.default_rng([seed, 97])
-    begin, direction = start_on(surface, rng)
     turns = Turns(np.append(travelled, 1e30), _headings(flat, travelled, step_mm))
-    walked = walk(surface, begin, direction, 1.1 * float(travelled[-1]), step_mm, turns)
-    track, normals = touched_path(surface, walked, tool.reference_radius_mm)
+    track, normals = track_over(surface, 1.1 * float(travelled[-1]), step_mm, turns, tool.reference_radius_mm, rng)
     press = Press(force_n, 0.5, max_force_n, stiffness_n_mm, encoder_mm)
     provenance = {
         **motion.provenance,

@@ -5,12 +5,12 @@ neighbours agree on (moving least squares, Levin 1998; Alexa et al. 2003). Crack
 non-manifold faces do no harm, and scanner noise below the spacing is what a hand would not follow anyway.
 """
 
+from collections.abc import Callable
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import KDTree
 
 from hapticlod.errors import InputError
@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 _CLOUD_POINTS = 150_000  # about as many as the spacing aims at
 _MOST_SAMPLES = 4_000_000
 _NEIGHBOURS = 8
+_SEATINGS = 12
+SEATED = 0.98  # of its radius a ball is from the surface that it rests on
 
 
 class ScanLike(Protocol):
@@ -76,37 +78,48 @@ class Surface:
         height = np.einsum("ik,ik->i", places_mm - centre, normal)
         return places_mm - height[:, None] * normal, normal
 
-    def resting(self, places_mm: Array, normals: Array, radius_mm: float) -> Array:
-        """Centres (K, 3) of a ball of `radius_mm` that rests on the surface near each of the `places_mm` of a path.
+    def carries(self, radius_mm: float) -> bool:
+        """Whether a ball of `radius_mm` rests on the cloud's points; a smaller one would slip between them."""
+        return radius_mm >= self.spacing_mm
 
-        Radius times normal shakes with the normals: the centres are smoothed along the path first, then brought to
-        the distance `radius_mm` from the nearest surface, which in hollows narrower than the ball is another place.
+    def clearance_mm(self, places_mm: Array) -> Array:
+        """Distance (K,) of `places_mm` (K, 3) from the nearest point of the cloud."""
+        return _nearest(self.tree, places_mm, 1)[0][:, 0]
+
+    def seated(self, centres_mm: Array, radius_mm: float) -> tuple[Array, Array]:
+        """Centres (K, 3) of balls that rest on the surface next to `centres_mm` (K, 3), and contact normals (K, 3).
+
+        The balls must be beside the surface already, on the right side of it: see `hapticlod.motion.roll`.
         """
-        centres = places_mm + radius_mm * normals
-        if radius_mm < 0.5 * self.spacing_mm:
-            return centres
-        step_mm = float(np.median(np.linalg.norm(np.diff(places_mm, axis=0), axis=1)))
-        centres = gaussian_filter1d(centres, min(0.3 * radius_mm / max(step_mm, 1e-9), 0.1 * len(centres)), axis=0)
-        left = np.arange(len(centres))
-        for _ in range(8):
-            distance, nearest = _nearest(self.tree, centres[left], 1)
-            off = np.abs(distance[:, 0] - radius_mm) > 0.01 * radius_mm
-            left = left[off]
-            if len(left) == 0:
-                break
-            touched, outward = self.points_mm[nearest[off, 0]], self.normals[nearest[off, 0]]
-            out = centres[left] - touched
-            length = np.linalg.norm(out, axis=1)
-            wrong = (length < 1e-9) | (np.einsum("ij,ij->i", out, outward) < 0)
-            out = np.where(wrong[:, None], outward, out / np.maximum(length, 1e-9)[:, None])
-            centres[left] = touched + radius_mm * out
-        return centres
+        centres = self._cleared(centres_mm, radius_mm, np.abs)
+        distance, nearest = _nearest(self.tree, centres, min(_NEIGHBOURS, len(self.points_mm)))
+        away = (centres[:, None] - self.points_mm[nearest]) / np.maximum(distance, 1e-12)[:, :, None]
+        weight = np.exp((distance[:, :1] ** 2 - np.square(distance)) / self.spacing_mm**2)
+        normals = np.einsum("ij,ijk->ik", weight, away)
+        return centres, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
     def pushed_out(self, centres_mm: Array, radius_mm: float) -> Array:
         """`centres_mm` (K, 3) of a ball; those that sink into the surface are lifted until it rests on it."""
+        if self.carries(radius_mm):
+            return self._cleared(centres_mm, radius_mm, lambda short: short)
         places, normals = self.project(centres_mm)
         height = np.einsum("ij,ij->i", centres_mm - places, normals)
         return centres_mm + np.maximum(radius_mm - height, 0.0)[:, None] * normals
+
+    def _cleared(self, centres_mm: Array, radius_mm: float, counts: Callable[[Array], Array]) -> Array:
+        """`centres_mm` (K, 3), moved along the line from the nearest point while what is missing (K,) counts."""
+        centres = centres_mm.copy()
+        left = np.arange(len(centres))
+        for _ in range(_SEATINGS):
+            distance, nearest = _nearest(self.tree, centres[left], 1)
+            off = counts(radius_mm - distance[:, 0]) > 0.5 * (1.0 - SEATED) * radius_mm
+            left = left[off]
+            if len(left) == 0:
+                break
+            touched = self.points_mm[nearest[off, 0]]
+            away = (centres[left] - touched) / np.maximum(distance[off], 1e-9 * radius_mm)
+            centres[left] = touched + radius_mm * away
+        return centres
 
     def bearing_mm(self, places_mm: Array, normals: Array, depth_mm: Array) -> Array:
         """How deep (K,) a HIP may go below `places_mm` (K, 3) before another flank is as near as the one above it.

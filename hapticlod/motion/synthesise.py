@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticlod.errors import InputError
-from hapticlod.motion.hand import Lift, Press, hand_motion, touched_path
+from hapticlod.motion.hand import Lift, Press, hand_motion
 from hapticlod.motion.motion import Motion
 from hapticlod.motion.strokes import BASE_HZ, MODES, STROKES, Drawn, Mode, brownian_heading, draw_strokes, stroke_speed
 from hapticlod.motion.surface import ScanLike, surface_of
-from hapticlod.motion.walk import Path, start_on, step_for, walk
+from hapticlod.motion.track import track_over
+from hapticlod.motion.walk import Path, step_for
 from hapticlod.tool import Tool, point
 
 Array = NDArray[np.float64]
@@ -72,10 +73,9 @@ def synthesise(
     margin = 1.3 if tool.reference_radius_mm > 0 or mode == "trace" else 1.1
     length_mm = margin * float(travelled[-1])
     step_mm = step_for(surface, float(travelled[-1]), seconds)
-    begin, direction = start_on(surface, rng)
     turn = Turns(np.append(travelled, 1e30), np.append(heading, heading[-1]))
-    walked = walk(surface, begin, direction, length_mm, step_mm, turn, crest=1.0 if mode == "trace" else 0.0)
-    track, normals = touched_path(surface, walked, tool.reference_radius_mm)
+    crest = 1.0 if mode == "trace" else 0.0
+    track, normals = track_over(surface, length_mm, step_mm, turn, tool.reference_radius_mm, rng, crest=crest)
     if mode == "trace":
         speed = _slowed_in_bends(speed, track)
     press = Press(force_n, 0.5, max_force_n, stiffness_n_mm, encoder_mm)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticlod.motion.surface import Surface
+from hapticlod.motion.surface import SEATED, Surface
 
 Array = NDArray[np.float64]
 
-_NEIGHBOURS = 6
+NEIGHBOURS = 6
 _STEPS_PER_S = 250.0
 
 
@@ -28,11 +28,11 @@ def step_for(surface: Surface, length_mm: float, seconds: float) -> float:
     return float(np.clip(wanted, 0.5 * surface.spacing_mm, 0.02 * surface.extent_mm))
 
 
-def start_on(surface: Surface, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A place (3,) mm on a good-sized piece of the surface, off its borders, and a tangent direction (3,).
+def start_on(surface: Surface, rng: np.random.Generator, radius_mm: float = 0.0) -> tuple[Array, Array]:
+    """A place (3,) mm of a ball's centre on a good-sized piece of the surface, off its borders, and a tangent (3,).
 
     Half of the usual surface round it is enough: most of it lies round crests and thin walls, and a hand that set out
-    there would go along them.
+    there would go along them. A ball begins where it fits, if it does anywhere.
     """
     share = surface.weights / surface.weights.sum()
     tries = rng.choice(len(share), size=48, p=share)
@@ -40,12 +40,18 @@ def start_on(surface: Surface, rng: np.random.Generator) -> tuple[Array, Array]:
     around = surface.tree.query_ball_point(surface.points_mm[tries], radius, return_length=True)
     room = np.minimum(surface.border_mm[tries], surface.margin_mm) / surface.margin_mm
     good = np.minimum(around / (0.5 * np.median(around)), 1.0) + room
-    best = tries[int(np.argmax(good + 1e-3 * rng.random(len(tries))))]
+    good += 1e-3 * rng.random(len(tries))
+    centres = surface.points_mm[tries]
+    if surface.carries(radius_mm):
+        centres = centres + radius_mm * surface.normals[tries]
+        good += 10.0 * np.minimum(surface.clearance_mm(centres) / radius_mm, SEATED)
+    place = int(np.argmax(good))
+    best = tries[place]
     normal = surface.normals[best]
     across = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     across /= np.linalg.norm(across)
     angle = rng.uniform(0.0, 2.0 * np.pi)
-    return surface.points_mm[best], np.cos(angle) * across + np.sin(angle) * np.cross(normal, across)
+    return centres[place], np.cos(angle) * across + np.sin(angle) * np.cross(normal, across)
 
 
 def walk(
@@ -71,7 +77,7 @@ def walk(
     walked = [0.0]
     place, normal = np.array(start_mm), _normal_at(surface, start_mm)
     tree, cloud, normals = surface.tree, surface.points_mm, surface.normals
-    neighbours = min(_NEIGHBOURS, len(cloud))
+    neighbours = min(NEIGHBOURS, len(cloud))
     reach = 2.5 * surface.spacing_mm + step_mm
     most_steps = int(3 * length_mm / step_mm) + 100
     for _ in range(most_steps):
@@ -79,13 +85,12 @@ def walk(
             break
         angle = turn_rad(walked[-1])
         if angle != 0.0:
-            direction = np.cos(angle) * direction + np.sin(angle) * _cross(normal, direction)
+            direction = np.cos(angle) * direction + np.sin(angle) * cross(normal, direction)
         ahead = place + step_mm * direction
         distance, near = tree.query(ahead, k=neighbours)
         distance, near = np.atleast_1d(distance), np.atleast_1d(near)
         if distance[0] > reach:  # over an edge with nothing beyond: turn on the spot
-            direction = -direction + 0.7 * _cross(normal, direction)
-            direction /= np.linalg.norm(direction)
+            direction = turned_back(direction, normal)
             place = cloud[near[0]]
             points.append(place)
             walked.append(walked[-1] + step_mm)
@@ -104,31 +109,42 @@ def walk(
         walked.append(walked[-1] + float(np.sqrt(moved @ moved)))
         place = new
         points.append(place)
-        border = surface.border_mm[near[0]]
-        if border < surface.margin_mm:
-            away = surface.border_away[near[0]]
-            near_border = 1.0 - border / surface.margin_mm
-            outward = -(direction @ away)
-            if outward > -0.4:  # halfway into the margin nothing of the outward part is left
-                direction = direction + (0.6 * near_border + max(outward, 0.0) * min(1.0, 2.0 * near_border)) * away
+        if surface.border_mm[near[0]] < surface.margin_mm:
+            direction = from_border(surface, int(near[0]), direction)
         elif crest > 0.0:
-            direction = _along_crest(direction, normal, seen, crest)
+            direction = along_crest(direction, normal, seen, crest)
         direction = direction - (direction @ normal) * normal
         size = np.sqrt(direction @ direction)
         if size < 1e-6:
-            direction = _cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+            direction = cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
             size = np.sqrt(direction @ direction)
         direction = direction / size
     return Path(np.array(points), np.array(walked))
 
 
-def _along_crest(direction: Array, normal: Array, seen: Array, crest: float) -> Array:
+def turned_back(direction: Array, normal: Array) -> Array:
+    """The direction of a turn on the spot: back, and somewhat aside, so that turn after turn looks all round."""
+    back = -direction + 0.7 * cross(normal, direction)
+    return back / np.linalg.norm(back)
+
+
+def from_border(surface: Surface, near: int, direction: Array) -> Array:
+    """`direction` at point `near` of the surface, bent away from the open border that is within the margin."""
+    away = surface.border_away[near]
+    near_border = 1.0 - surface.border_mm[near] / surface.margin_mm
+    outward = -(direction @ away)
+    if outward > -0.4:  # halfway into the margin nothing of the outward part is left
+        return direction + (0.6 * near_border + max(outward, 0.0) * min(1.0, 2.0 * near_border)) * away
+    return direction
+
+
+def along_crest(direction: Array, normal: Array, seen: Array, crest: float) -> Array:
     """Leans toward the tangent along which the normals near by change least, where that is clear."""
     spread = seen - seen.mean(axis=0)
     values, vectors = np.linalg.eigh(spread.T @ spread)
     if values[2] < 0.02:  # flat: no crest
         return direction
-    along = _cross(normal, vectors[:, 2])
+    along = cross(normal, vectors[:, 2])
     clear = (values[2] - values[1]) / values[2]
     return direction + (0.3 * crest * clear * np.sign(along @ direction)) * along
 
@@ -138,6 +154,6 @@ def _normal_at(surface: Surface, place: Array) -> Array:
     return surface.normals[int(nearest)]
 
 
-def _cross(a: Array, b: Array) -> Array:
+def cross(a: Array, b: Array) -> Array:
     # np.cross costs ten times as much for single vectors
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

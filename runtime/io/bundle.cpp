@@ -18,6 +18,7 @@ namespace {
 
 constexpr std::size_t kBlocksAtOnce = 16384;  // checked by one job
 constexpr std::size_t kMostHeadBytes = sizeof(BundleHeader) + kMaxSections * sizeof(SectionEntry);
+constexpr double kMostToolMm = 1e9;      // as for vertices
 constexpr std::size_t kDigestsTake = 4;  // times the reading of the same bytes
 
 // What core's check_config leaves open: a limit of 0 is none for it, which who carries a bundle to a device must not
@@ -37,6 +38,9 @@ std::string tool_fault(std::span<const BallData> tool) {
         const double reach = std::hypot(ball.centre_mm[0], ball.centre_mm[1], ball.centre_mm[2]);
         if (!std::isfinite(reach) || !std::isfinite(ball.radius_mm) || ball.radius_mm < 0.0) {
             return "ball " + std::to_string(i) + " is not finite or has a negative radius";
+        }
+        if (reach > kMostToolMm || ball.radius_mm > kMostToolMm) {
+            return "ball " + std::to_string(i) + " reaches beyond 10^9 mm";
         }
     }
     return {};

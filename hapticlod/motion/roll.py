@@ -1,0 +1,116 @@
+"""A ball that rolls over a surface: it goes where its centre can, not where the surface is.
+
+A walk over the surface leads into gaps, holes and corners that a ball does not fit into, and out of them on the far
+side; a contact point cannot follow. So the centre itself is moved on, and after every step brought to where the ball
+rests. In a groove it rides on both flanks and climbs the second; where it fits no further it turns round.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapticlod.motion.surface import SEATED, Surface
+from hapticlod.motion.walk import NEIGHBOURS, Path, along_crest, cross, from_border, turned_back
+
+Array = NDArray[np.float64]
+
+_STEP_OF_RADIUS = 0.25  # a longer step could leave a gap that is a little too narrow on its far side
+_SEATINGS = 24
+_FITS = 0.9  # of its radius: with less room about it, a ball fits nowhere near
+_HELD_STEPS = 6  # a corner may take so many steps to turn round in
+_WEDGED_TURNS = 16  # in a row: all round
+_HELD = 0.2  # of a step: a ball that gets on by less is held
+
+
+def roll(
+    surface: Surface,
+    start_mm: Array,
+    direction: Array,
+    length_mm: float,
+    step_mm: float,
+    turn_rad: Callable[[float], float],
+    radius_mm: float,
+    *,
+    crest: float = 0.0,
+) -> Path:
+    """Rolls a ball `length_mm` over the surface: places of its centre.
+
+    Arguments as `walk`, but `start_mm` is the centre's, beside the surface; `radius_mm` is at least its spacing. The
+    path is shorter where the ball is wedged, and a single place where it cannot move at all.
+    """
+    step_mm = min(step_mm, _STEP_OF_RADIUS * radius_mm)
+    centre, clear = _seated(surface, np.array(start_mm), radius_mm)
+    near, normal = _contact(surface, centre)
+    direction = _on_plane(direction, normal)
+    points, walked = [centre], [0.0]
+    held = turns = 0
+    if clear < _FITS * radius_mm:
+        return Path(np.array(points), np.array(walked))
+    for _ in range(int(3 * length_mm / step_mm) + 100):
+        if walked[-1] >= length_mm or turns > _WEDGED_TURNS:
+            break
+        angle = turn_rad(walked[-1])
+        if angle != 0.0:
+            direction = np.cos(angle) * direction + np.sin(angle) * cross(normal, direction)
+        ahead, its_clear = _seated(surface, centre + step_mm * direction, radius_mm)
+        moved = ahead - centre
+        length = float(np.sqrt(moved @ moved))
+        held = held + 1 if length < _HELD * step_mm else 0
+        if its_clear < min(SEATED * radius_mm, clear) or held > _HELD_STEPS:  # it fits no further
+            direction, held = _on_plane(turned_back(direction, normal), normal), 0
+            turns += 1
+            continue
+        centre, clear, turns = ahead, its_clear, 0
+        points.append(centre)
+        walked.append(walked[-1] + length)
+        before = normal
+        near, normal = _contact(surface, centre)
+        direction = _carried(direction, before, normal)
+        if surface.border_mm[near[0]] < surface.margin_mm:
+            direction = from_border(surface, int(near[0]), direction)
+        elif crest > 0.0:
+            direction = along_crest(direction, normal, surface.normals[near], crest)
+        direction = _on_plane(direction, normal)
+    return Path(np.array(points), np.array(walked))
+
+
+def _seated(surface: Surface, centre: Array, radius_mm: float) -> tuple[Array, float]:
+    """`centre` (3,) moved straight from or to the nearest place of the surface until the ball rests; its clearance."""
+    tree, cloud = surface.tree, surface.points_mm
+    distance = 0.0
+    for _ in range(_SEATINGS):
+        distance, nearest = tree.query(centre)
+        if abs(distance - radius_mm) <= 0.5 * (1.0 - SEATED) * radius_mm or distance == 0.0:
+            break
+        centre = cloud[nearest] + (radius_mm / distance) * (centre - cloud[nearest])
+    return centre, float(distance)
+
+
+def _contact(surface: Surface, centre: Array) -> tuple[NDArray[np.intp], Array]:
+    """The nearest points of the surface, by index, and the direction (3,) from them to the centre."""
+    distance, near = surface.tree.query(centre, k=min(NEIGHBOURS, len(surface.points_mm)))
+    distance, near = np.atleast_1d(distance), np.atleast_1d(near)
+    away = (centre - surface.points_mm[near]) / np.maximum(distance, 1e-12)[:, None]
+    weight = np.exp((distance[0] ** 2 - np.square(distance)) / surface.spacing_mm**2)
+    blended = weight @ away
+    size = np.sqrt(blended @ blended)
+    return near, blended / size if size > 1e-6 else away[0]
+
+
+def _carried(direction: Array, before: Array, after: Array) -> Array:
+    """`direction`, turned as the normal turns: in a corner the way into the wall becomes the way up it."""
+    cosine = float(before @ after)
+    if cosine < -0.999:
+        return direction
+    axis = cross(before, after)
+    return cosine * direction + cross(axis, direction) + (axis @ direction) / (1.0 + cosine) * axis
+
+
+def _on_plane(direction: Array, normal: Array) -> Array:
+    flat = direction - (direction @ normal) * normal
+    size = np.sqrt(flat @ flat)
+    if size < 1e-6:
+        flat = cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+        size = np.sqrt(flat @ flat)
+    return flat / size
