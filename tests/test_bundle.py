@@ -289,7 +289,7 @@ def test_a_bundle_without_a_force_limit_is_refused(parts: dict[str, Any], bundle
 
 @pytest.mark.parametrize("field", ["centres_mm", "radii_mm"])
 def test_a_ball_beyond_any_tool_is_refused(parts: dict[str, Any], bundle_path: Path, field: str) -> None:
-    """Differences of such places are infinite, and the tree of balls was ordered by them: found by make fuzz."""
+    """Differences of such places are infinite, and the tree of balls is ordered by them."""
     far = getattr(parts["tool"], field).copy()
     far[0] = 1e308
     write_bundle(bundle_path, **{**parts, "tool": replace(parts["tool"], **{field: far})})

@@ -9,6 +9,7 @@ namespace hapticlod {
 namespace {
 
 constexpr std::uint32_t kFanOut = 8;
+constexpr double kLeastSizeMm = 1e-30;  // balls nearer together are in one place: a scale of theirs might be infinite
 
 std::uint64_t curve_key(const Vec3& p, const Vec3& lo, double scale) {
     return morton(static_cast<std::int32_t>((p.x - lo.x) * scale), static_cast<std::int32_t>((p.y - lo.y) * scale),
@@ -25,7 +26,7 @@ void ToolTree::build(std::span<const Vec3> centres, std::span<const SolverBall> 
         hi = {std::max(hi.x, c.x), std::max(hi.y, c.y), std::max(hi.z, c.z)};
     }
     const double size = std::max({hi.x - lo.x, hi.y - lo.y, hi.z - lo.z});
-    const double scale = size > 0.0 ? 1023.0 / size : 0.0;
+    const double scale = size > kLeastSizeMm ? 1023.0 / size : 0.0;
     order_.resize(centres.size());
     std::iota(order_.begin(), order_.end(), 0u);
     std::stable_sort(order_.begin(), order_.end(), [&](std::uint32_t a, std::uint32_t b) {
