@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticlod.motion.surface import SEATED, Surface
-from hapticlod.motion.walk import NEIGHBOURS, Path, along_crest, cross, from_border, turned_back
+from hapticlod.motion.walk import NEIGHBOURS, Path, cross, on_plane, steered, turned_back
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ def roll(
     step_mm = min(step_mm, _STEP_OF_RADIUS * radius_mm)
     centre, clear = _seated(surface, np.array(start_mm), radius_mm)
     near, normal = _contact(surface, centre)
-    direction = _on_plane(direction, normal)
+    direction = on_plane(direction, normal)
     points, walked = [centre], [0.0]
     held = turns = 0
     if clear < _FITS * radius_mm:
@@ -58,7 +58,7 @@ def roll(
         length = float(np.sqrt(moved @ moved))
         held = held + 1 if length < _HELD * step_mm else 0
         if its_clear < min(SEATED * radius_mm, clear) or held > _HELD_STEPS:  # it fits no further
-            direction, held = _on_plane(turned_back(direction, normal), normal), 0
+            direction, held = on_plane(turned_back(direction, normal), normal), 0
             turns += 1
             continue
         centre, clear, turns = ahead, its_clear, 0
@@ -67,11 +67,7 @@ def roll(
         before = normal
         near, normal = _contact(surface, centre)
         direction = _carried(direction, before, normal)
-        if surface.border_mm[near[0]] < surface.margin_mm:
-            direction = from_border(surface, int(near[0]), direction)
-        elif crest > 0.0:
-            direction = along_crest(direction, normal, surface.normals[near], crest)
-        direction = _on_plane(direction, normal)
+        direction = steered(surface, near, direction, normal, crest)
     return Path(np.array(points), np.array(walked))
 
 
@@ -105,12 +101,3 @@ def _carried(direction: Array, before: Array, after: Array) -> Array:
         return direction
     axis = cross(before, after)
     return cosine * direction + cross(axis, direction) + (axis @ direction) / (1.0 + cosine) * axis
-
-
-def _on_plane(direction: Array, normal: Array) -> Array:
-    flat = direction - (direction @ normal) * normal
-    size = np.sqrt(flat @ flat)
-    if size < 1e-6:
-        flat = cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
-        size = np.sqrt(flat @ flat)
-    return flat / size

@@ -109,16 +109,7 @@ def walk(
         walked.append(walked[-1] + float(np.sqrt(moved @ moved)))
         place = new
         points.append(place)
-        if surface.border_mm[near[0]] < surface.margin_mm:
-            direction = from_border(surface, int(near[0]), direction)
-        elif crest > 0.0:
-            direction = along_crest(direction, normal, seen, crest)
-        direction = direction - (direction @ normal) * normal
-        size = np.sqrt(direction @ direction)
-        if size < 1e-6:
-            direction = cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
-            size = np.sqrt(direction @ direction)
-        direction = direction / size
+        direction = steered(surface, near, direction, normal, crest)
     return Path(np.array(points), np.array(walked))
 
 
@@ -128,7 +119,26 @@ def turned_back(direction: Array, normal: Array) -> Array:
     return back / np.linalg.norm(back)
 
 
-def from_border(surface: Surface, near: int, direction: Array) -> Array:
+def steered(surface: Surface, near: NDArray[np.intp], direction: Array, normal: Array, crest: float) -> Array:
+    """The next `direction`, tangent: kept from open borders, else leaning along crests; `near`: by index."""
+    if surface.border_mm[near[0]] < surface.margin_mm:
+        direction = _from_border(surface, int(near[0]), direction)
+    elif crest > 0.0:
+        direction = _along_crest(direction, normal, surface.normals[near], crest)
+    return on_plane(direction, normal)
+
+
+def on_plane(direction: Array, normal: Array) -> Array:
+    """The unit vector (3,) along `direction` in the plane across `normal`; any in it where there is none."""
+    flat = direction - (direction @ normal) * normal
+    size = np.sqrt(flat @ flat)
+    if size < 1e-6:
+        flat = cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+        size = np.sqrt(flat @ flat)
+    return flat / size
+
+
+def _from_border(surface: Surface, near: int, direction: Array) -> Array:
     """`direction` at point `near` of the surface, bent away from the open border that is within the margin."""
     away = surface.border_away[near]
     near_border = 1.0 - surface.border_mm[near] / surface.margin_mm
@@ -138,7 +148,7 @@ def from_border(surface: Surface, near: int, direction: Array) -> Array:
     return direction
 
 
-def along_crest(direction: Array, normal: Array, seen: Array, crest: float) -> Array:
+def _along_crest(direction: Array, normal: Array, seen: Array, crest: float) -> Array:
     """Leans toward the tangent along which the normals near by change least, where that is clear."""
     spread = seen - seen.mean(axis=0)
     values, vectors = np.linalg.eigh(spread.T @ spread)
