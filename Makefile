@@ -163,8 +163,8 @@ CASES ?= 2000
 mutate-scans: product  ## CASES=2000 crops of scans with random faults: loaded, simplified and touched as the report says?
 	@HAPTICLOD_MUTATIONS=$(CASES) $(BIN)/python -m pytest -q -n auto tests/test_scan_mutations.py
 
-evaluate-surrogate: build  ## predictions against measurements: SCAN=file [MOTIONS="a.csv b.csv"] [TOOL=file] [CONFIGS=60] [JSON=out.json]
-	@$(BIN)/python benchmarks/evaluate_surrogate.py $(if $(SCAN),--scan="$(SCAN)") $(if $(MOTIONS),--motions="$(MOTIONS)") $(if $(TOOL),--tool="$(TOOL)") $(if $(STATION),--station="$(STATION)") $(if $(CONFIGS),--configs="$(CONFIGS)") $(if $(SEED),--seed="$(SEED)") $(if $(UNIT),--unit="$(UNIT)") $(if $(JSON),--json="$(JSON)")
+evaluate-surrogate: build  ## predictions against measurements: SCAN=file [MOTIONS="a.csv b.csv"] [TOOL=file] [CONFIGS=60] [HANDS=4] [JSON=out.json]
+	@$(BIN)/python benchmarks/evaluate_surrogate.py $(if $(SCAN),--scan="$(SCAN)") $(if $(MOTIONS),--motions="$(MOTIONS)") $(if $(TOOL),--tool="$(TOOL)") $(if $(STATION),--station="$(STATION)") $(if $(CONFIGS),--configs="$(CONFIGS)") $(if $(HANDS),--hands="$(HANDS)") $(if $(SEED),--seed="$(SEED)") $(if $(UNIT),--unit="$(UNIT)") $(if $(JSON),--json="$(JSON)")
 
 bench-tuners: build  ## our tuner against Optuna TPE, CMA-ES, random search, a grid: SCAN=file [TOOL=file] [EVALUATIONS=400] [SECONDS_EACH=0] [BUDGET=us] [JSON=out.json]
 	@$(BIN)/python -c "import cmaes, optuna" 2>/dev/null || $(BIN)/pip install -q --no-build-isolation -e '.[bench]'

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 app = App(name="optimiser-cases", help="Our search against SLSQP with the same gradients, on surrogates.")
 DRAWN_PER_START, MOST_STEPS, SEED = 8, 60, 1000
 CLOSE = 1.01
-MOTION_S, MADE = 4.0, MODES[:3]
+MOTION_S, MADE = 12.0, MODES[:3]
 DENTITIONS = ((6_000, 1), (20_000, 2), (60_000, 3))
 REAL = ("tooth_scan_molaR_10k.ply", "tooth_human_incisor_31k.ply", "dental_ios_upper_100k.ply")
 TOOLS = ("tools/ball_1mm.toml", "tools/explorer.toml")

@@ -1,7 +1,8 @@
 """How far the surrogate can be trusted: random configurations, predicted and measured, compared metric by metric.
 
 Predictions come from the motions of the surrogate, measurements from motions kept apart, so that what is judged is
-what tuning relies on: that a configuration which looks better is better.
+what tuning relies on: that a configuration which looks better is better. Measured on the very motions that a prediction
+was made from (`own`), what is left is the model's error alone: the difference is that between two hands.
 
 The ceiling of a metric is the rank correlation of two measurements that share nothing: the first and the second half
 of every motion kept apart. A prediction is made from motions of its own and cannot be expected to agree with a
@@ -38,11 +39,15 @@ Metrics = dict[str, float]
 
 @dataclass(frozen=True)
 class Trial:
-    """One configuration: predicted, measured, measured on either half of the motions; its loop cost by the clock."""
+    """One configuration: predicted, measured, measured on either half of the motions; its loop cost by the clock.
+
+    `own`: measured on the motions that the prediction was made from.
+    """
 
     config: LodConfig
     predicted: Metrics
     measured: Metrics
+    own: Metrics
     halves: tuple[Metrics, Metrics]
     clock: Metrics
 
@@ -63,10 +68,11 @@ def random_points(ready: Prepared, count: int, seed: int) -> list[tuple[NDArray[
 def evaluate(
     ready: Prepared, verifier: Verifier, station: Station, count: int, seed: int, told: Callable[[str, float], None]
 ) -> list[Trial]:
-    """Predicts and measures `count` configurations. Configurations that come out alike are measured once."""
+    """Predicts and measures `count` configurations; `verifier` measures on the motions kept apart."""
     search = Search(ready.measured, ready.space, station.budget_us)
     limits = Limits(station.budget_us, station.memory_mb)
     references = verifier.reference()
+    seen = replace(verifier, motions=ready.seen, key="", runs=0, _reference=[])
     trials: list[Trial] = []
     for i, (x, levels) in enumerate(random_points(ready, count, seed)):
         told("predict and measure", i / count)
@@ -79,7 +85,8 @@ def evaluate(
         halves = tuple(
             _with_objective(measure(_half(records, part), _half(references, part)), station) for part in (0, 1)
         )
-        trials.append(Trial(config, predicted, whole, (halves[0], halves[1]), clock_metrics(times)))
+        own = _with_objective(measure(seen.records(config), seen.reference()), station)
+        trials.append(Trial(config, predicted, whole, own, (halves[0], halves[1]), clock_metrics(times)))
     told("predict and measure", 1.0)
     return trials
 
@@ -102,23 +109,27 @@ def scores(trials: Sequence[Trial]) -> dict[str, Any]:
     A rank correlation is null where predictions or measurements are all alike, a ratio where all measurements are 0.
     `baselines.total_triangles` ranks by the triangles of all levels (either way round: its sign is dropped),
     `baselines.constant` predicts every measurement by their median: it ranks nothing, its ratios show the spread.
+    `own_motions` has what `metrics` has, measured on the motions of the predictions.
     """
     triangles = np.array([float(trial.triangles) for trial in trials])
     metrics: dict[str, Any] = {}
+    own_motions: dict[str, Any] = {}
     by_triangles: dict[str, Any] = {}
     by_constant: dict[str, Any] = {}
     for key in (*METRIC_KEYS, OBJECTIVE):
-        predicted, measured, first, second = (
+        predicted, measured, own, first, second = (
             np.array([float(values[key]) for values in column])
             for column in (
                 [trial.predicted for trial in trials],
                 [trial.measured for trial in trials],
+                [trial.own for trial in trials],
                 [trial.halves[0] for trial in trials],
                 [trial.halves[1] for trial in trials],
             )
         )
         ceiling = rank_correlation(spearmanr, first, second)
         metrics[key] = {**_score(predicted, measured), "ceiling": ceiling}
+        own_motions[key] = _score(predicted, own)
         trivial = _score(triangles, measured)
         by_triangles[key] = {name: _unsigned(trivial[name]) for name in ("spearman", "kendall")}
         by_constant[key] = _score(np.full_like(measured, np.median(measured)), measured)
@@ -127,7 +138,7 @@ def scores(trials: Sequence[Trial]) -> dict[str, Any]:
         for key in trials[0].clock
     }
     trivial = {"total_triangles": by_triangles, "constant": by_constant}
-    return {"metrics": metrics, "clock": clock, "baselines": trivial}
+    return {"metrics": metrics, "own_motions": own_motions, "clock": clock, "baselines": trivial}
 
 
 def _score(predicted: NDArray[np.float64], measured: NDArray[np.float64]) -> dict[str, float | None]:

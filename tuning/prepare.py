@@ -110,6 +110,7 @@ def prepare(
     seed: int = 0,
     progress: Progress | None = None,
     perception: Perception | None = None,
+    hands: float = 1.0,
 ) -> Prepared:
     """Ladder, motions, replays and the surrogate's arrays.
 
@@ -123,6 +124,7 @@ def prepare(
         seed: of the motions.
         progress: told every stage's name and the part done.
         perception: preset; the shipped default where none is given.
+        hands: motions that are made are so many times as long as tuning makes them.
 
     Raises:
         InputError: motions that never touch, or are too short.
@@ -140,10 +142,10 @@ def prepare(
     given = tuple(motion.digest for motion in motions or ())
     untouched = station.model_copy(update={"budget_us": 1.0, "memory_mb": 1.0, "name": "", "slowdown_reason": ""})
     key = kept.key_of("samples", scan.digest, tool.digest, untouched.model_dump_json(), given, seed, repr(felt),
-                      threads(), kept.code_digest())  # fmt: skip
+                      hands, threads(), kept.code_digest())  # fmt: skip
     sampled = kept.load("samples", key)
     if sampled is None:
-        sampled = _sampled(scan, ladder, station, tool, motions, seed, felt, told)
+        sampled = _sampled(scan, ladder, station, tool, motions, seed, felt, told, hands)
         kept.store("samples", key, sampled)
     told("build the surrogate", 0.0)
     with jax.enable_x64(True):
@@ -157,7 +159,7 @@ def prepare(
 
 def _sampled(
     scan: Scan, ladder: Ladder, station: Station, tool: Tool, motions: Sequence[Motion] | None, seed: int,
-    perception: Perception, told: Progress,
+    perception: Perception, told: Progress, hands: float,
 ) -> _Sampled:  # fmt: skip
     told("prepare the motions", 0.0)
     grid = make_grid(ladder.rungs, tool)
@@ -166,7 +168,7 @@ def _sampled(
     if motions:
         seen, apart = _halves(scan, station, tool, motions)
     else:
-        seen, apart, switch_s = _made(scan, bench, station, tool, seed)
+        seen, apart, switch_s = _made(scan, bench, station, tool, seed, hands)
     longest_s = max(motion.seconds for motion in seen)
     thinning = max(1, math.ceil(longest_s / switch_s - 1e-6))
     clock, felt_clock, relay_clock = make_clock(seen), make_clock(seen, thinning=thinning), make_clock(seen, switch_s)
@@ -194,9 +196,9 @@ def _halves(scan: Scan, station: Station, tool: Tool, given: Sequence[Motion]) -
 
 
 def _made(
-    scan: Scan, bench: Bench, station: Station, tool: Tool, seed: int
+    scan: Scan, bench: Bench, station: Station, tool: Tool, seed: int, hands: float
 ) -> tuple[list[Motion], list[Motion], float]:
-    """Strokes of all modes, as long as this tool lets replays be; and how much of them shows switches, s."""
+    """Strokes of all modes, `hands` times as long as this tool lets replays be; and how much shows switches, s."""
 
     def stroke(task: tuple[int, float]) -> Motion:
         number, seconds = task
@@ -221,8 +223,8 @@ def _made(
     mean_s = sum(spent_s) / len(spent_s)
     made_s = _STROKE_S * len(MODES)
     legs = -(-rungs * subsets // MOST_RUNTIME_LEVELS)
-    seen_s = _seconds(SEEN_S, (made_s + mean_s * rungs * subsets) / threads(), SEEN_REPLAY_S)
-    apart_s = _seconds(APART_S, (made_s + spent_s[0]) / threads(), APART_REPLAY_S)
+    seen_s = hands * _seconds(SEEN_S, (made_s + mean_s * rungs * subsets) / threads(), SEEN_REPLAY_S)
+    apart_s = hands * _seconds(APART_S, (made_s + spent_s[0]) / threads(), APART_REPLAY_S)
     switch_s = _seconds(SWITCH_S, mean_s * legs * _SWITCHED / threads(), SWITCH_REPLAY_S)
     with ThreadPoolExecutor(threads()) as pool:
         made = list(pool.map(stroke, strokes(0, seen_s) + strokes(500, apart_s)))

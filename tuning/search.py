@@ -19,6 +19,7 @@ from hapticlod.surrogate.measurement import LadderMeasurement
 from hapticlod.surrogate.surrogate import memory_mb, predict_members
 from tuning import kept
 from tuning.compile_cache import compiled
+from tuning.hop import hop
 from tuning.known import Known, KnownPoints
 from tuning.objective import COST_WEIGHT, disturbance, objective
 from tuning.optimise import SequentialQuadratic
@@ -178,8 +179,8 @@ class Search:
         """What compiled code is told of a search for so many levels under these limits."""
         low, high = self._space.log_bounds
         rows, row_limits = self._space.order_rows(levels)
-        scalars = (levels, limits.budget_us, limits.memory_mb, self._budget_us)
-        levels_, budget, memory, station = (jnp.asarray(value) for value in scalars)
+        scalars = (limits.budget_us, limits.memory_mb, self._budget_us)
+        levels_, budget, memory, station = (jnp.asarray(value) for value in (levels, *map(float, scalars)))
         return Problem(
             jnp.asarray(low), jnp.asarray(high - low), levels_, budget, memory, station,
             jnp.asarray(rows), jnp.asarray(row_limits), jnp.asarray(self._over == WORST),
@@ -242,6 +243,7 @@ class Search:
             _better(ends, sharp, pool, solved)
             if soft:
                 _better(ends, [(k, ends[k].x, SHARP, MOST_STEPS) for k in _finalists(ends)], pool, solved)
+                hop(ends, lambda hops: _better(ends, [(k, x, SHARP, TRIED_STEPS) for k, x in hops], pool, solved), seed)
                 self._polish(ends, pool, solved)
                 self._widen(ends, limits)
         ends |= {k: self._glanced(self._space.ordered(x, k), k, limits) for k, x in before.items() if k not in ends}

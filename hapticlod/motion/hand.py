@@ -14,6 +14,7 @@ from hapticlod.motion.smooth import low_passed
 from hapticlod.motion.strokes import BASE_HZ, min_jerk, slow_noise, spread_normals, tremor_mm
 from hapticlod.motion.surface import Surface
 from hapticlod.motion.walk import Path
+from hapticlod.motion.whole_tool import yielded
 from hapticlod.tool import Tool
 
 Array = NDArray[np.float64]
@@ -89,7 +90,10 @@ def hand_motion(
         ramp_s = min(_RAMP_S, 0.4 * (lift.stop_s - lift.start_s), approach_s)
         up = min_jerk((time_s - lift.start_s) / ramp_s) * (1.0 - min_jerk((time_s - lift.stop_s + ramp_s) / ramp_s))
         offset += up * (np.minimum(lift.height_mm, room) - offset)
-    hip = centre + offset[:, None] * normal + tremor_mm(ticks, rng, rms_mm=press.tremor_rms_mm)
+    hip = centre + offset[:, None] * normal
+    if tool.balls > 1:
+        hip = _yielding(surface, hip, raw_normal, tool, np.maximum(-offset, 0.0))
+    hip += tremor_mm(ticks, rng, rms_mm=press.tremor_rms_mm)
 
     at_s = np.arange(max(round(end_s * loop_hz), 2)) / loop_hz
     if loop_hz != BASE_HZ:
@@ -112,6 +116,17 @@ def hand_motion(
         "path_walked_twice": bool(np.sum(speed_mm_s) / BASE_HZ > track.walked_mm[-1]),
     }
     return Motion(at_s, hip, orientation, float(loop_hz), name, {**provenance, **facts})
+
+
+def _yielding(surface: Surface, hip: Array, normals: Array, tool: Tool, pressed_mm: Array) -> Array:
+    """`hip` (T, 3), shifted where more than the tip of the tool would meet the body."""
+    knots = np.arange(0, len(hip), _EVERY)
+    turn = shaft_orientation(normals, BASE_HZ)[knots]
+    shift = yielded(surface, hip[knots], turn, tool, pressed_mm[knots])
+    if not shift.any():
+        return hip
+    shift = low_passed(shift, _FOLLOW_HZ, BASE_HZ / _EVERY)
+    return hip + _interpolated(np.arange(len(hip), dtype=np.float64), knots.astype(np.float64), shift)
 
 
 def _leaned(normal: Array) -> Array:
