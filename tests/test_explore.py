@@ -13,10 +13,11 @@ from hapticlod.shipped import shipped_config
 from hapticlod.station import Station, load_station
 from tuning.confirm import Clock, confirmed
 from tuning.explain import agreement, refusal
-from tuning.explore import MORE, RESCUES, ROUNDS, Candidate, explore
+from tuning.explore import CELLS, MORE, RESCUES, ROUNDS, Candidate, explore
 from tuning.search import Found
 
 BUDGET_US = 600.0
+OTHER_CELLS = [True] * len(CELLS)  # the best, measured with other cells: as dear here, and felt alike
 
 
 class Optimist:
@@ -28,29 +29,36 @@ class Optimist:
     def best(self, count: int, limits: Any, seed: int, warm: Any = None) -> Found:
         self.asked.append(limits.budget_us)
         predicted = {"loop_cost_p999_us": limits.budget_us}
-        return Found(np.array([limits.budget_us]), 1.0, 0.0, predicted)
+        return Found(np.array([limits.budget_us, 1.0]), 1.0, 0.0, predicted)
 
     def best_of_each(self, counts: list[int], limits: Any, seed: int, near: Any) -> dict[int, Found]:
         return {count: self.best(count, limits, seed) for count in counts}
 
 
-def explored(true_over_predicted: Any, counts: tuple[int, ...] = (1,)) -> tuple[list[Any], list[float]]:
-    """The candidates of some level counts, measured at predicted times a factor of the prediction."""
+def explored(
+    true_over_predicted: Any,
+    counts: tuple[int, ...] = (1,),
+    true_of_cells: Any = lambda factor: 1.0,
+    search: Any = None,
+) -> tuple[list[Any], list[float]]:
+    """The candidates of some level counts, measured at predicted times factors of the prediction and of the cells."""
 
     def measured(config: LodConfig) -> dict[str, float]:
         predicted_us = float(config.name)
         cost_us = predicted_us * true_over_predicted(predicted_us)
+        felt = 600.0 / cost_us  # cells are not felt
+        cost_us *= true_of_cells(config.levels[0].cell_mm)
         return {
             "loop_cost_p999_us": cost_us, "loop_cost_mean_us": 0.2 * cost_us, "memory_mb": 10.0,
-            "felt_error_jnd": 600.0 / cost_us, "discontinuity_per_s": 0.0,
+            "felt_error_jnd": felt, "discontinuity_per_s": 0.0,
         }  # fmt: skip
 
     def config(x: np.ndarray, count: int, name: str) -> LodConfig:
-        return LodConfig(name=str(x[0]), levels=(Level(triangles=1000, cell_mm=1.0, balls=1),))
+        return LodConfig(name=str(x[0]), levels=(Level(triangles=1000, cell_mm=float(x[1]), balls=1),))
 
-    search: Any = Optimist()
+    search = search or Optimist()
     verifier: Any = SimpleNamespace(measured=measured)
-    ready: Any = SimpleNamespace(space=SimpleNamespace(config=config))
+    ready: Any = SimpleNamespace(space=SimpleNamespace(config=config, with_cells=lambda x, factor: x * [1.0, factor]))
     made = explore(
         search, verifier, ready, station(), counts, 0, lambda *stage: None,  # pyright: ignore[reportArgumentType]
         lambda config, metrics: metrics["felt_error_jnd"],
@@ -69,7 +77,7 @@ def uses_its_budget(found: Candidate) -> bool:
 
 def test_one_correction_is_enough_where_the_error_is_a_factor() -> None:
     made, asked = explored(lambda predicted_us: 3.0)
-    assert [candidate.feasible for candidate in made] == [False, True, True]
+    assert [candidate.feasible for candidate in made] == [False, True, *OTHER_CELLS, True]
     assert asked[1] <= BUDGET_US / 3
     assert uses_its_budget(made[-1])
 
@@ -115,15 +123,36 @@ def test_a_tail_that_trembles_is_not_drawn_on() -> None:
 
 @pytest.mark.parametrize("share", [0.96, 1.0])
 def test_stops_where_they_agree(share: float) -> None:
-    """Four per cent of the budget are worth one measurement more."""
+    """Four per cent of the budget are worth one measurement more, beside those of other cells."""
     made, _ = explored(lambda predicted_us: share)
-    assert len(made) == (1 if share == 1.0 else 2)
+    assert len(made) - len(OTHER_CELLS) == (1 if share == 1.0 else 2)
     assert made[0].feasible and uses_its_budget(made[-1])
 
 
 def test_a_level_that_is_predicted_to_do_nothing_is_not_measured() -> None:
     made, _ = explored(lambda predicted_us: 1.0, (1, 2, 3))
-    assert [candidate.optimum.levels for candidate in made] == [1]
+    assert {candidate.optimum.levels for candidate in made} == {1}
+
+
+@pytest.mark.parametrize(("best", "gain"), [(0.8, 0.9), (1.25, 0.85)])
+def test_cells_that_are_measured_cheaper_buy_feel(best: float, gain: float) -> None:
+    """The surrogate knows nothing of it: the cost of one cell size is measured less, and spent on the rest."""
+    made, asked = explored(lambda predicted_us: 1.0, true_of_cells=lambda factor: gain if factor == best else 1.0)
+    plain, _ = explored(lambda predicted_us: 1.0)
+    chosen, without = (min((c for c in all_ if c.feasible), key=lambda c: c.objective) for all_ in (made, plain))
+    assert chosen.config.levels[0].cell_mm == best
+    assert uses_its_budget(chosen)
+    assert chosen.objective < (gain + 0.03) * without.objective
+    assert max(asked) <= MORE * BUDGET_US
+
+
+def test_cells_are_not_tried_where_the_budget_does_not_bind() -> None:
+    class Content(Optimist):
+        def best(self, count: int, limits: Any, seed: int, warm: Any = None) -> Found:
+            return replace(super().best(count, limits, seed, warm), predicted={"loop_cost_p999_us": 50.0})
+
+    made, _ = explored(lambda predicted_us: 0.1, search=Content())
+    assert len(made) == 1
 
 
 def candidate(objective: float, cost_us: float) -> Candidate:

@@ -84,3 +84,15 @@ def test_what_is_not_finite_is_named() -> None:
         heads_of([Found(np.zeros(3), float("nan"), 0.0, broken)] * 2, 2)
     good = Found(np.ones(3), 1.0, 0.0, {})
     assert heads_of([Found(np.zeros(3), float("nan"), 0.0, broken), good], 2) == [good]
+
+
+def test_other_cells_are_nothing_but_other_cells_within_their_bounds() -> None:
+    space = made_space()
+    x = np.full(space.size, 0.5)
+    before, after = space.config(space.ordered(x, 3), 3), space.config(space.with_cells(space.ordered(x, 3), 1.25), 3)
+    assert [level.cell_mm for level in after.levels] == pytest.approx([1.25 * level.cell_mm for level in before.levels])
+    alike = [level.model_copy(update={"cell_mm": 1.0}) for level in before.levels]
+    assert [level.model_copy(update={"cell_mm": 1.0}) for level in after.levels] == alike
+    assert after.speeds_mm_s == before.speeds_mm_s
+    largest = space.with_cells(x, 1e6)
+    assert largest.max() == 1.0 and np.array_equal(space.with_cells(largest, 1e-12).min(), 0.0)

@@ -19,6 +19,9 @@ from tuning.verify import Verifier
 ROUNDS = 4  # measurements of one level count
 RESCUES = 5  # further ones while nothing that was measured holds the budget
 FINISH = 3  # and of the best level count, to use what is left of the budget
+# Cell sizes are predicted from short parts of the motions; of the best, others are measured, in its own.
+CELLS = (0.8, 1.25)
+MOST_MEASURED = 16  # before these last ones, while something holds the budget
 AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
 CLOSE = 0.015  # what of the budget the answer may leave unused before it is tried to use it
 # A level count is not measured if it could not win even were it better than predicted by this factor.
@@ -71,9 +74,9 @@ def explore(
     """
     made: list[Candidate] = []
 
-    def measured(count: int, found: Found, asked: Correction) -> Candidate:
+    def measured(count: int, found: Found, asked: Correction, cells: float = 1.0) -> Candidate:
         stages("verify in the runtime", len(made) / (len(counts) * ROUNDS))
-        config = ready.space.config(found.x, count, f"{count} levels")
+        config = ready.space.config(ready.space.with_cells(found.x, cells), count, f"{count} levels")
         metrics = verifier.measured(config)
         optimum = Optimum(found.x, count, limits_of(station, asked.value))
         expected_us = asked.expected_us(found.predicted["loop_cost_p999_us"])
@@ -91,6 +94,8 @@ def explore(
     for count in sorted(counts, key=lambda k: every[k].rank):
         if HOPE * every[count].objective > best() or _hardly_used(every, count):
             continue
+        if len(made) >= MOST_MEASURED and np.isfinite(best()):
+            break
         found, asked = every[count], Correction(1.0)
         if abs(np.log(correction)) > AGREE:
             stages("optimise", len(made) / (len(counts) * ROUNDS))
@@ -108,15 +113,30 @@ def explore(
         correction = asked.value
         ended[count] = found, asked
     winner = min((c for c in made if c.feasible), key=lambda c: c.objective, default=None)
-    if winner is None or winner.optimum is None or cost_us(winner) > (1.0 - CLOSE) * station.budget_us:
+    if winner is None or winner.optimum is None:
         return made
-    found, asked = ended[winner.optimum.levels]
+    count, limits = winner.optimum.levels, winner.optimum.limits
+    found, asked, cells = *ended[count], 1.0
+    if winner.predicted["loop_cost_p999_us"] > (1.0 - AGREE) * limits.budget_us:  # the budget binds
+        known = Found(winner.optimum.x, winner.objective, 0.0, winner.predicted)
+        tried = {}
+        for factor in CELLS:
+            here = Correction(limits.budget_us / station.budget_us)
+            here.take(winner)
+            tried[factor] = measured(count, known, here, factor), here
+        best_cells = min(tried, key=lambda factor: cost_us(tried[factor][0]))
+        other, here = tried[best_cells]
+        if cost_us(other) < (1.0 - CLOSE) * cost_us(winner):
+            here.take(other)
+            found, asked, cells = known, here, best_cells
+    if cells == 1.0 and cost_us(winner) > (1.0 - CLOSE) * station.budget_us:
+        return made
     for _ in range(FINISH):
         if not asked.goes_on(station, CLOSE):
             break
         stages("optimise", 0.95)
-        found = search.best(winner.optimum.levels, limits_of(station, asked.value), seed, found.x)
-        asked.take(measured(winner.optimum.levels, found, asked))
+        found = search.best(count, limits_of(station, asked.value), seed, found.x)
+        asked.take(measured(count, found, asked, cells))
         if any(made[-1].config == other.config for other in made[:-1]):
             break
     return made

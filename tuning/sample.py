@@ -36,8 +36,9 @@ Progress = Callable[[str, float], None]
 _REACHES = (0.5, 4.0)
 # Every so many rungs are timed with repeats, on so many ticks per motion: what tells counted cost from other programs.
 _TIMED_RUNGS, _TIMED_TICKS, _TIMED_REPEATS = 4, 480, 3
-# Ticks per motion on which other cell sizes are timed, and those before them that put the tool in its place.
-_CELL_TICKS, _SETTLING_TICKS = 480, 32
+# Ticks per motion on which other cell sizes are tried: usual ones, from its middle, and as many about its dearest ones,
+# which make the tail. And those before them that put the tool in its place.
+_CELL_TICKS, _SETTLING_TICKS = 240, 32
 
 
 # Rows of one level, and its bytes and balls.
@@ -168,12 +169,14 @@ def sample_ladder(
     ]  # fmt: skip
     entered = [(place, rows) for entries, _ in relays for place, rows in entries.items() if len(rows)]
     chosen = tuple(cell_rungs(grid))
-    swept, cell_bytes = _sweep_cells(bench, levels, chosen, part, progress)
+    usual = [_middle(motion, _SETTLING_TICKS + _CELL_TICKS) for motion in part]
+    dear = [_dearest(motion, rows, _SETTLING_TICKS + _CELL_TICKS) for motion, rows in zip(part, first, strict=True)]
+    swept, cell_bytes = _sweep_cells(bench, levels, chosen, usual, dear, progress)
 
     # Prices of cells and triangles show where cell sizes differ, those of mappings where levels are entered.
     timed = _timed(bench, levels, part)
     staying = [(rows, int(level_bytes[r]), grid.balls[b]) for (r, b), rows in kept.items()]
-    once = [(rows, int(cell_bytes[s, h]), grid.balls[b]) for (s, b, h), rows in swept.items()]
+    once = [(rows, int(cell_bytes[s, h]), grid.balls[b]) for (s, b, h), both in swept.items() for rows in both]
     entering = [(_counters_only(rows), int(level_bytes[r]), grid.balls[b]) for (r, b), rows in entered]
     every = [*timed, *staying, *once, *entering]
     here = calibrate(
@@ -227,33 +230,37 @@ def _timed(bench: Bench, levels: Sequence, motions: Sequence[Motion]) -> list[_T
     parts = [_middle(motion, _SETTLING_TICKS + _TIMED_TICKS) for motion in motions]
     made = []
     for r in range(0, len(levels), _TIMED_RUNGS):
-        for b in _swept_subsets(bench):
+        for b in sorted({0, len(bench.grid.balls) - 1}):
             replays = replay_fixed(bench, levels[r], r, bench.grid.balls[b], parts, _TIMED_REPEATS)
             rows = _counters_only(np.concatenate([rows[_SETTLING_TICKS:] for rows in replays]))
             made.append((rows, levels[r].bytes, bench.grid.balls[b]))
     return made
 
 
-def _sweep_cells(
-    bench: Bench, levels: Sequence, chosen: Sequence[int], motions: Sequence[Motion], progress: Progress
-) -> tuple[dict[tuple[int, int, int], NDArray], Array]:
-    """Rows by (place in `chosen`, subset, cell size), and bytes (S, H), on a part from the middle of every motion.
+# Rows of one cell size: of the usual ticks, and of the dearest.
+_Swept = dict[tuple[int, int, int], tuple[NDArray, NDArray]]
 
-    Only with all balls and with the fewest: in between, what a cell size changes is interpolated.
-    """
+
+def _sweep_cells(
+    bench: Bench, levels: Sequence, chosen: Sequence[int], usual: Sequence[Motion], dear: Sequence[Motion],
+    progress: Progress,
+) -> tuple[_Swept, Array]:  # fmt: skip
+    """Rows by (place in `chosen`, subset, cell size), and bytes (S, H)."""
     grid = bench.grid
-    parts = [_middle(motion, _SETTLING_TICKS + _CELL_TICKS) for motion in motions]
     size = np.zeros((len(chosen), len(grid.cell_edges)))
-    swept: dict[tuple[int, int, int], NDArray] = {}
+    swept: _Swept = {}
 
     def one(task: tuple[int, int]) -> None:
         s, h = task
         rung = chosen[s]
         level = levels[rung] if h == grid.base_cell else bench.level(rung, h)
         size[s, h] = level.bytes
-        for b in _swept_subsets(bench):
-            replays = replay_fixed(bench, level, rung, grid.balls[b], parts, 1, h)
-            swept[s, b, h] = _counters_only(np.concatenate([row[_SETTLING_TICKS:] for row in replays]))
+        for b, balls in enumerate(grid.balls):
+            made = [
+                _counters_only(np.concatenate([row[_SETTLING_TICKS:] for row in replayed]))
+                for replayed in (replay_fixed(bench, level, rung, balls, m, 1, h) for m in (usual, dear))
+            ]
+            swept[s, b, h] = made[0], made[1]
 
     tasks = [(s, h) for s in range(len(chosen)) for h in range(len(grid.cell_edges))]
     progress("try cell sizes", 0.0)
@@ -263,27 +270,31 @@ def _sweep_cells(
     return {place: swept[place] for place in sorted(swept)}, size
 
 
-def _swept_subsets(bench: Bench) -> list[int]:
-    return sorted({0, len(bench.grid.balls) - 1})
-
-
-def _cell_cost(bench: Bench, swept: dict[tuple[int, int, int], NDArray], cell_bytes: Array, costing: Costing) -> Array:
-    """(S, B, H, 2) mean cost and that of the dearest ticks, by what they counted.
+def _cell_cost(bench: Bench, swept: _Swept, cell_bytes: Array, costing: Costing) -> Array:
+    """(S, B, H, 2) mean cost of the usual ticks and that of the dearest, by what they counted.
 
     Cell sizes differ by tenths; a short part timed once shows what else the machine did meanwhile.
     """
     balls = bench.grid.balls
-    subsets = _swept_subsets(bench)
-    cost = np.zeros((cell_bytes.shape[0], len(subsets), cell_bytes.shape[1], 2))
-    for (s, b, h), rows in swept.items():
-        cost[s, subsets.index(b), h] = dearest_mean(costing.counted_ns(rows, int(cell_bytes[s, h]), balls[b]))
-    thin = np.log(np.array(balls, dtype=np.float64))
-    share = (thin[0] - thin) / max(thin[0] - thin[-1], 1e-9)
-    log = np.log(np.maximum(cost, 1.0))
-    return np.exp(log[:, :1] + share[None, :, None, None] * (log[:, -1:] - log[:, :1]))
+    cost = np.zeros((cell_bytes.shape[0], len(balls), cell_bytes.shape[1], 2))
+    for (s, b, h), both in swept.items():
+        usual, dear = (costing.counted_ns(rows, int(cell_bytes[s, h]), balls[b]) for rows in both)
+        cost[s, b, h] = dearest_mean(usual)[0], dearest_mean(dear)[1]
+    return cost
 
 
 def _middle(motion: Motion, ticks: int) -> Motion:
     """So many ticks of a motion, or all where it is shorter."""
     first = max(motion.ticks - ticks, 0) // 2
+    return motion.part(first / motion.loop_hz, min(first + ticks, motion.ticks) / motion.loop_hz)
+
+
+def _dearest(motion: Motion, rows: NDArray, ticks: int) -> Motion:
+    """So many ticks of a motion about those that ask most, by what was counted over its first so many."""
+    asked = np.sum(
+        [rows[name][: motion.ticks] / max(rows[name].mean(), 1e-9) for name in ("triangles", "tests")], axis=0
+    )
+    # Where the window's tail is largest, not its sum: p99.9 rests on single ticks.
+    at = int(np.argmax(np.convolve(np.square(asked), np.ones(ticks - _SETTLING_TICKS), mode="same")))
+    first = min(max(at - ticks // 2, 0), max(motion.ticks - ticks, 0))
     return motion.part(first / motion.loop_hz, min(first + ticks, motion.ticks) / motion.loop_hz)

@@ -242,6 +242,13 @@ class Space:
         wider[3 * self.most_levels + levels - 1 :][: self.most_levels - levels] = 1.0
         return self.ordered(wider, levels + 1)
 
+    def with_cells(self, x: NDArray, factor: float) -> NDArray:
+        """x with all cells so many times as large, within their bounds."""
+        out, cells = np.array(x, dtype=np.float64), slice(2 * self.most_levels, 3 * self.most_levels)
+        step = np.log(factor) / np.log(self.cell_edges[1] / self.cell_edges[0])
+        out[cells] = np.clip(out[cells] + step, 0.0, 1.0)
+        return out
+
     def sample(self, count: int, levels: int, seed: int) -> NDArray:
         """(count, n) Latin hypercube points that keep the order."""
         # The points of scipy.stats.qmc.LatinHypercube, which takes more than a second to import.
