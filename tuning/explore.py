@@ -21,7 +21,7 @@ RESCUES = 5  # further ones while nothing that was measured holds the budget
 FINISH = 3  # and of the best level count, to use what is left of the budget
 # Cell sizes are predicted from short parts of the motions; of the best, others are measured, in its own.
 CELLS = (0.8, 1.25)
-MOST_MEASURED = 16  # before these last ones, while something holds the budget
+MOST_MEASURED = 14  # before these last ones, while something holds the budget
 AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
 CLOSE = 0.015  # what of the budget the answer may leave unused before it is tried to use it
 # A level count is not measured if it could not win even were it better than predicted by this factor.

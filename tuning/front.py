@@ -117,7 +117,7 @@ def pareto(
     check_over(over)
     keep_compiled()
     stages = Stages(progress)
-    ready = prepare(scan, station, tool, motions, seed=seed, progress=stages)
+    ready = prepare(scan, station, tool, motions, seed=seed, progress=stages, whole=over != POOLED)
     stages("follow the front", 0.0)
     # One search, one objective: its trace of cost is measured by the station's budget at every point.
     search = Search(ready.measured, ready.space, station.budget_us, over, len(ready.seen), ready.key)

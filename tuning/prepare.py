@@ -13,7 +13,7 @@ import numpy as np
 
 from hapticlod.errors import InputError
 from hapticlod.ladder import Ladder
-from hapticlod.motion import MODES, Motion, lay_on_scan, near_share, synthesise
+from hapticlod.motion import MODES, Motion, synthesise
 from hapticlod.perception import Perception, load_perception
 from hapticlod.scan import Scan
 from hapticlod.scene_ladder import ladder_of
@@ -24,6 +24,7 @@ from tuning import kept
 from tuning.assemble import LadderData, assemble
 from tuning.calibrate import counted_cost_ns
 from tuning.grid import Grid, make_clock, make_grid
+from tuning.recordings import seen_and_apart
 from tuning.replays import MOST_RUNTIME_LEVELS, Bench, replay_fixed
 from tuning.sample import Costing, sample_ladder, threads
 from tuning.space import Space
@@ -44,7 +45,6 @@ _PRICES = CostCoefficients(
 )
 _STROKE_S = 0.1  # to make a second of a stroke
 _SWITCHED = 10.0  # cost of a replay that switches, in replays that stay on a level
-NEAR_MM = 2.0
 _TOUR_MM = 4.0  # a tour's mapping length, in offsets between rungs
 
 
@@ -111,6 +111,7 @@ def prepare(
     progress: Progress | None = None,
     perception: Perception | None = None,
     hands: float = 1.0,
+    whole: bool = False,
 ) -> Prepared:
     """Ladder, motions, replays and the surrogate's arrays.
 
@@ -119,12 +120,13 @@ def prepare(
         station: rate, stiffness and limits; cost coefficients of its own where it is another machine. Its budget and
             memory limit do not matter here.
         tool: 1 to 4096 balls.
-        motions: recorded at the station's rate: the first halves make the surrogate, the second halves judge it.
-            None: strokes of all four modes, made on the scan.
+        motions: recorded at the station's rate: parts of them make the surrogate, those in between judge it
+            (`tuning.recordings`). None: strokes of all four modes, made on the scan.
         seed: of the motions.
         progress: told every stage's name and the part done.
         perception: preset; the shipped default where none is given.
         hands: motions that are made are so many times as long as tuning makes them.
+        whole: recordings are cut in halves only, one motion each: for who asks what every motion is served like.
 
     Raises:
         InputError: motions that never touch, or are too short.
@@ -142,10 +144,10 @@ def prepare(
     given = tuple(motion.digest for motion in motions or ())
     untouched = station.model_copy(update={"budget_us": 1.0, "memory_mb": 1.0, "name": "", "slowdown_reason": ""})
     key = kept.key_of("samples", scan.digest, tool.digest, untouched.model_dump_json(), given, seed, repr(felt),
-                      hands, threads(), kept.code_digest())  # fmt: skip
+                      hands, whole, threads(), kept.code_digest())  # fmt: skip
     sampled = kept.load("samples", key)
     if sampled is None:
-        sampled = _sampled(scan, ladder, station, tool, motions, seed, felt, told, hands)
+        sampled = _sampled(scan, ladder, station, tool, motions, seed, felt, told, hands, whole)
         kept.store("samples", key, sampled)
     told("build the surrogate", 0.0)
     with jax.enable_x64(True):
@@ -159,14 +161,14 @@ def prepare(
 
 def _sampled(
     scan: Scan, ladder: Ladder, station: Station, tool: Tool, motions: Sequence[Motion] | None, seed: int,
-    perception: Perception, told: Progress, hands: float,
+    perception: Perception, told: Progress, hands: float, whole: bool,
 ) -> _Sampled:  # fmt: skip
     told("prepare the motions", 0.0)
     grid = make_grid(ladder.rungs, tool)
     bench = Bench(ladder.rungs, scan.centre_mm, tool, station, grid)
     switch_s = math.inf
     if motions:
-        seen, apart = _halves(scan, station, tool, motions)
+        seen, apart = seen_and_apart(scan, station, tool, motions, whole)
     else:
         seen, apart, switch_s = _made(scan, bench, station, tool, seed, hands)
     longest_s = max(motion.seconds for motion in seen)
@@ -178,21 +180,6 @@ def _sampled(
     offset_mm = max(ladder.rungs[-1].rms_mm, 1e-3 * ladder.rungs[0].mean_edge_mm)
     data, costing = sample_ladder(bench, seen, clock, felt_clock, relay_clock, perception, _TOUR_MM * offset_mm, told)
     return _Sampled(tuple(seen), tuple(apart), data, costing, make_space(grid, data, offset_mm))
-
-
-def _halves(scan: Scan, station: Station, tool: Tool, given: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
-    """First and second halves of recordings; those that are far from the scan are laid on it."""
-    placed = [
-        m
-        if near_share(m, scan, NEAR_MM + tool.reference_radius_mm) > 0.2
-        else lay_on_scan(
-            m, scan, tool=tool, stiffness_n_mm=station.stiffness_n_mm, max_force_n=station.max_force_n,
-            encoder_mm=station.encoder_mm,
-        )
-        for m in given
-    ]  # fmt: skip
-    halves = [(m.part(0.0, m.seconds / 2), m.part(m.seconds / 2, m.seconds)) for m in placed]
-    return [first for first, _ in halves], [second for _, second in halves]
 
 
 def _made(

@@ -86,7 +86,8 @@ def tune(
     Args:
         scan: cleaned. station: rate, budget, limits; cost coefficients of its own where it is another machine.
         tool: 1 to 4096 balls.
-        motions: recorded at the station's rate: the first halves make the surrogate, the second halves verify.
+        motions: recorded at the station's rate: in turn, parts of them make the surrogate and verify; over the mean
+            or the worst of several motions, their halves.
             None: strokes of all four modes, made on the scan.
         levels: fewest and most levels to consider.
         over: what is minimised of several motions: "pooled", as one long motion; "mean" or "worst" of them.
@@ -99,7 +100,7 @@ def tune(
     check_over(over)
     keep_compiled()
     stages = Stages(progress)
-    ready = prepare(scan, station, tool, motions, seed=seed, progress=stages)
+    ready = prepare(scan, station, tool, motions, seed=seed, progress=stages, whole=over != POOLED)
     search = Search(ready.measured, ready.space, station.budget_us, over, len(ready.seen), ready.key)
     verifier = Verifier(ready.ladder, tool, station, ready.apart, ready.costing, ready.key)
 
