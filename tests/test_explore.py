@@ -13,7 +13,7 @@ from hapticlod.shipped import shipped_config
 from hapticlod.station import Station, load_station
 from tuning.confirm import Clock, confirmed
 from tuning.explain import agreement, refusal
-from tuning.explore import CELLS, MORE, RESCUES, ROUNDS, Candidate, explore
+from tuning.explore import CELLS, FINISH, MORE, MOST_AGAIN, MOST_MEASURED, RESCUES, ROUNDS, Candidate, explore
 from tuning.search import Found
 
 BUDGET_US = 600.0
@@ -40,6 +40,7 @@ def explored(
     counts: tuple[int, ...] = (1,),
     true_of_cells: Any = lambda factor: 1.0,
     search: Any = None,
+    near: Any = None,
 ) -> tuple[list[Any], list[float]]:
     """The candidates of some level counts, measured at predicted times factors of the prediction and of the cells."""
 
@@ -61,7 +62,7 @@ def explored(
     ready: Any = SimpleNamespace(space=SimpleNamespace(config=config, with_cells=lambda x, factor: x * [1.0, factor]))
     made = explore(
         search, verifier, ready, station(), counts, 0, lambda *stage: None,  # pyright: ignore[reportArgumentType]
-        lambda config, metrics: metrics["felt_error_jnd"],
+        lambda config, metrics: metrics["felt_error_jnd"], near,
     )  # fmt: skip
     return made, search.asked
 
@@ -144,6 +145,25 @@ def test_cells_that_are_measured_cheaper_buy_feel(best: float, gain: float) -> N
     assert uses_its_budget(chosen)
     assert chosen.objective < (gain + 0.03) * without.objective
     assert max(asked) <= MORE * BUDGET_US
+
+
+def trembling(predicted_us: float) -> float:
+    """A tail by which no measurement tells of the next."""
+    return 0.8 + 0.15 * np.sin(7.0 * predicted_us)
+
+
+def test_so_many_are_measured_and_no_more() -> None:
+    """Also where every level count is worth measuring, and no two measurements agree."""
+
+    class Varied(Optimist):
+        def best_of_each(self, counts: list[int], limits: Any, seed: int, near: Any) -> dict[int, Found]:
+            return {k: replace(self.best(k, limits, seed), objective=1.0 - 0.01 * k) for k in counts}
+
+    everywhere, _ = explored(trembling, (1, 2, 3, 4, 5), search=Varied())
+    assert MOST_MEASURED <= len(everywhere) <= MOST_MEASURED + len(CELLS) + FINISH
+    again, _ = explored(trembling, (1, 2), search=Varied(), near={1: np.zeros(2), 2: np.zeros(2)})
+    assert 1 <= len(again) <= MOST_AGAIN
+    assert not {c.config.levels[0].cell_mm for c in again} - {1.0}
 
 
 def test_cells_are_not_tried_where_the_budget_does_not_bind() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,8 @@ RESCUES = 5  # further ones while nothing that was measured holds the budget
 FINISH = 3  # and of the best level count, to use what is left of the budget
 # Cell sizes are predicted from short parts of the motions; of the best, others are measured, in its own.
 CELLS = (0.8, 1.25)
-MOST_MEASURED = 14  # before these last ones, while something holds the budget
+# Before these last ones, while something holds the budget; and in all of a search that goes on from an earlier one.
+MOST_MEASURED, MOST_AGAIN = 12, 4
 AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
 CLOSE = 0.015  # what of the budget the answer may leave unused before it is tried to use it
 # A level count is not measured if it could not win even were it better than predicted by this factor.
@@ -70,9 +72,10 @@ def explore(
     """The best of every level count that may win, measured, and searched again while its cost was predicted wrong.
 
     The most promising level count comes first; by how much its cost was mispredicted is where the next one begins.
-    `near`: by level count, where to begin the search.
+    `near`: by level count, where to begin the search: it goes on from an earlier one, with fewer measurements.
     """
     made: list[Candidate] = []
+    most = MOST_AGAIN if near else MOST_MEASURED
 
     def measured(count: int, found: Found, asked: Correction, cells: float = 1.0) -> Candidate:
         stages("verify in the runtime", len(made) / (len(counts) * ROUNDS))
@@ -94,7 +97,7 @@ def explore(
     for count in sorted(counts, key=lambda k: every[k].rank):
         if HOPE * every[count].objective > best() or _hardly_used(every, count):
             continue
-        if len(made) >= MOST_MEASURED and np.isfinite(best()):
+        if len(made) >= most and np.isfinite(best()):
             break
         found, asked = every[count], Correction(1.0)
         if abs(np.log(correction)) > AGREE:
@@ -106,7 +109,8 @@ def explore(
             # Asked for less, the search gave what it gave before: there is nothing cheaper to be had of it.
             stuck = any(turn and candidate.config == other.config for other in made[:-1])
             more = asked.corrected(candidate, station) and not stuck
-            if not more or turn + 1 >= ROUNDS + (0 if np.isfinite(best()) else RESCUES):
+            rounds = min(ROUNDS, turn + 1 + most - len(made)) if np.isfinite(best()) else ROUNDS + RESCUES
+            if not more or turn + 1 >= rounds:
                 break
             stages("optimise", len(made) / (len(counts) * ROUNDS))
             found = search.best(count, limits_of(station, asked.value), seed + turn + 1, found.x)
@@ -117,22 +121,15 @@ def explore(
         return made
     count, limits = winner.optimum.levels, winner.optimum.limits
     found, asked, cells = *ended[count], 1.0
-    if winner.predicted["loop_cost_p999_us"] > (1.0 - AGREE) * limits.budget_us:  # the budget binds
+    if not near and winner.predicted["loop_cost_p999_us"] > (1.0 - AGREE) * limits.budget_us:  # the budget binds
         known = Found(winner.optimum.x, winner.objective, 0.0, winner.predicted)
-        tried = {}
-        for factor in CELLS:
-            here = Correction(limits.budget_us / station.budget_us)
-            here.take(winner)
-            tried[factor] = measured(count, known, here, factor), here
-        best_cells = min(tried, key=lambda factor: cost_us(tried[factor][0]))
-        other, here = tried[best_cells]
-        if cost_us(other) < (1.0 - CLOSE) * cost_us(winner):
-            here.take(other)
-            found, asked, cells = known, here, best_cells
+        cheaper = _cheaper_cells(winner, limits.budget_us / station.budget_us, partial(measured, count, known))
+        if cheaper is not None:
+            found, (cells, asked) = known, cheaper
     if cells == 1.0 and cost_us(winner) > (1.0 - CLOSE) * station.budget_us:
         return made
     for _ in range(FINISH):
-        if not asked.goes_on(station, CLOSE):
+        if (near and len(made) >= most) or not asked.goes_on(station, CLOSE):
             break
         stages("optimise", 0.95)
         found = search.best(count, limits_of(station, asked.value), seed, found.x)
@@ -140,6 +137,26 @@ def explore(
         if any(made[-1].config == other.config for other in made[:-1]):
             break
     return made
+
+
+def _cheaper_cells(
+    winner: Candidate, value: float, measured: Callable[[Correction, float], Candidate]
+) -> tuple[float, Correction] | None:
+    """By what factor the winner's cells are better, and what is then to be asked for; None: by none that was tried.
+
+    `value`: of the correction that it was found with.
+    """
+    tried: dict[float, tuple[Candidate, Correction]] = {}
+    for factor in CELLS:
+        here = Correction(value)
+        here.take(winner)
+        tried[factor] = measured(here, factor), here
+    factor = min(tried, key=lambda factor: cost_us(tried[factor][0]))
+    other, here = tried[factor]
+    if cost_us(other) > (1.0 - CLOSE) * cost_us(winner):
+        return None
+    here.take(other)
+    return factor, here
 
 
 def _hardly_used(every: Mapping[int, Found], count: int) -> bool:
