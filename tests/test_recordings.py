@@ -86,3 +86,8 @@ def test_a_hand_that_never_moves_is_refused(globe: Scan) -> None:
     still = Motion(np.arange(200) / LOOP_HZ, np.full((200, 3), 300.0), None, LOOP_HZ, "held", {})
     with pytest.raises(InputError, match="motion held: does not move"):
         seen_and_apart(globe, STATION, TOOL, [still])
+
+
+def test_a_hand_that_moves_in_one_part_alone_is_refused(globe: Scan) -> None:
+    with pytest.raises(InputError, match="motions: move for too short a time"):
+        seen_and_apart(globe, STATION, TOOL, [elsewhere(24.0, (5.0, 24.0))])

@@ -72,10 +72,10 @@ class LadderData:
     cell_bytes: Array
 
 
-def dearest_mean(cost: Array) -> tuple[float, float]:
-    """Mean cost, and mean cost of the dearest fiftieth of the ticks."""
+def dearest_mean(cost: Array) -> float:
+    """Mean cost of the dearest fiftieth of the ticks."""
     count = max(1, round(_TAIL_SHARE * len(cost)))
-    return float(cost.mean()), float(np.partition(cost, -count)[-count:].mean())
+    return float(np.partition(cost, -count)[-count:].mean())
 
 
 def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderMeasurement:

@@ -146,17 +146,14 @@ def _cheaper_cells(
 
     `value`: of the correction that it was found with.
     """
-    tried: dict[float, tuple[Candidate, Correction]] = {}
-    for factor in CELLS:
-        here = Correction(value)
-        here.take(winner)
-        tried[factor] = measured(here, factor), here
-    factor = min(tried, key=lambda factor: cost_us(tried[factor][0]))
-    other, here = tried[factor]
-    if cost_us(other) > (1.0 - CLOSE) * cost_us(winner):
+    asked = Correction(value)
+    asked.take(winner)
+    tried = {factor: measured(asked, factor) for factor in CELLS}
+    factor = min(tried, key=lambda factor: cost_us(tried[factor]))
+    if cost_us(tried[factor]) > (1.0 - CLOSE) * cost_us(winner):
         return None
-    here.take(other)
-    return factor, here
+    asked.take(tried[factor])
+    return factor, asked
 
 
 def _hardly_used(every: Mapping[int, Found], count: int) -> bool:

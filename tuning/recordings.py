@@ -8,9 +8,11 @@ surface and leaves it; one that was made there is cut where the hand is farthest
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
+from hapticlod.errors import InputError
 from hapticlod.motion import Motion, lay_on_scan, near_share
 from hapticlod.motion.surface import Surface, surface_of
 from hapticlod.scan import Scan
@@ -30,6 +32,9 @@ def seen_and_apart(
     """Parts of recordings in turn; with `whole`, one part of each recording is seen, and one kept apart: its halves.
 
     Those that are far from the scan are laid on it.
+
+    Raises:
+        InputError: a recording that does not move, or recordings that move in so few parts that none is left to judge.
     """
     seen: list[Motion] = []
     apart: list[Motion] = []
@@ -38,19 +43,26 @@ def seen_and_apart(
         extent_mm = float(np.linalg.norm(np.ptp(motion.position_mm, axis=0)))
         scale = min(1.0, surface.extent_mm / extent_mm) if extent_mm > 0.0 else None
         pairs = 1 if whole else max(1, int(motion.seconds // (2.0 * PART_S)))
-        near = near_share(motion, scan, _NEAR_MM + tool.reference_radius_mm) > _NEAR_SHARE
+        near = lies_on(motion, scan, tool)
         cuts_s = _in_air(motion, surface, 2 * pairs) if near else np.linspace(0.0, motion.seconds, 2 * pairs + 1)
-        for i in range(2 * pairs):
-            part = motion.part(float(cuts_s[i]), float(cuts_s[i + 1]))
-            if scale is not None and not np.ptp(part.position_mm, axis=0).any():
-                continue  # the hand rests
+        parts = [motion.part(float(start), float(stop)) for start, stop in pairwise(cuts_s)]
+        # Parts in which the hand rests are left out, unless it always does.
+        moving = [part for part in parts if scale is None or np.ptp(part.position_mm, axis=0).any()]
+        for i, part in enumerate(moving):
             if not near:
                 part = lay_on_scan(
                     part, scan, tool=tool, stiffness_n_mm=station.stiffness_n_mm, max_force_n=station.max_force_n,
                     encoder_mm=station.encoder_mm, space_scale=scale, seed=len(seen) + len(apart),
                 )  # fmt: skip
             (apart if i % 2 else seen).append(part)
+    if not seen or not apart:
+        raise InputError("motions", "move for too short a time to be parted in two", "give longer recordings")
     return seen, apart
+
+
+def lies_on(motion: Motion, scan: Scan, tool: Tool) -> bool:
+    """Whether a recording was made on this scan: much of it is near the surface."""
+    return near_share(motion, scan, _NEAR_MM + tool.reference_radius_mm) > _NEAR_SHARE
 
 
 def _in_air(motion: Motion, surface: Surface, parts: int) -> np.ndarray:

@@ -279,14 +279,13 @@ def _cell_cost(bench: Bench, swept: _Swept, cell_bytes: Array, costing: Costing)
     cost = np.zeros((cell_bytes.shape[0], len(balls), cell_bytes.shape[1], 2))
     for (s, b, h), both in swept.items():
         usual, dear = (costing.counted_ns(rows, int(cell_bytes[s, h]), balls[b]) for rows in both)
-        cost[s, b, h] = dearest_mean(usual)[0], dearest_mean(dear)[1]
+        cost[s, b, h] = usual.mean(), dearest_mean(dear)
     return cost
 
 
 def _middle(motion: Motion, ticks: int) -> Motion:
     """So many ticks of a motion, or all where it is shorter."""
-    first = max(motion.ticks - ticks, 0) // 2
-    return motion.part(first / motion.loop_hz, min(first + ticks, motion.ticks) / motion.loop_hz)
+    return _stretch(motion, (motion.ticks - ticks) // 2, ticks)
 
 
 def _dearest(motion: Motion, rows: NDArray, ticks: int) -> Motion:
@@ -296,5 +295,10 @@ def _dearest(motion: Motion, rows: NDArray, ticks: int) -> Motion:
     )
     # Where the window's tail is largest, not its sum: p99.9 rests on single ticks.
     at = int(np.argmax(np.convolve(np.square(asked), np.ones(ticks - _SETTLING_TICKS), mode="same")))
-    first = min(max(at - ticks // 2, 0), max(motion.ticks - ticks, 0))
+    return _stretch(motion, at - ticks // 2, ticks)
+
+
+def _stretch(motion: Motion, first: int, ticks: int) -> Motion:
+    """So many ticks from about the first on, moved to where the motion has them."""
+    first = min(max(first, 0), max(motion.ticks - ticks, 0))
     return motion.part(first / motion.loop_hz, min(first + ticks, motion.ticks) / motion.loop_hz)

@@ -179,8 +179,8 @@ class Search:
         """What compiled code is told of a search for so many levels under these limits."""
         low, high = self._space.log_bounds
         rows, row_limits = self._space.order_rows(levels)
-        scalars = (limits.budget_us, limits.memory_mb, self._budget_us)
-        levels_, budget, memory, station = (jnp.asarray(value) for value in (levels, *map(float, scalars)))
+        scalars = (levels, float(limits.budget_us), float(limits.memory_mb), float(self._budget_us))
+        levels_, budget, memory, station = (jnp.asarray(value) for value in scalars)
         return Problem(
             jnp.asarray(low), jnp.asarray(high - low), levels_, budget, memory, station,
             jnp.asarray(rows), jnp.asarray(row_limits), jnp.asarray(self._over == WORST),

@@ -9,7 +9,7 @@ from functools import lru_cache
 from hapticlod.config import LodConfig
 from hapticlod.errors import InputError
 from hapticlod.ladder import Ladder, build_ladder
-from hapticlod.motion import Motion, lay_on_scan, load_motion, near_share, synthesise
+from hapticlod.motion import Motion, lay_on_scan, load_motion, synthesise
 from hapticlod.replay import Record, replay_levels, runtime_levels
 from hapticlod.scan import Scan, load_scan
 from hapticlod.station import Station
@@ -17,8 +17,8 @@ from hapticlod.tool import Tool
 from tuning import kept
 from tuning.baselines import finest_only
 from tuning.compare.cell import Cell, MotionSet, ScanFile
+from tuning.recordings import lies_on
 
-_NEAR_MM, _NEAR_SHARE = 2.0, 0.2  # a recording is on the scan where this share of it is this near
 _SEED = 700  # strokes of the tuner have other seeds: it must not have seen these
 
 
@@ -96,8 +96,7 @@ def _motions(asked: MotionSet, scan: Scan, tool: Tool, station: Station) -> Sequ
             for i, mode in enumerate(asked.modes)
         ]
     recorded = load_motion(asked.path, station.loop_hz)
-    reach_mm = _NEAR_MM + tool.reference_radius_mm
-    placed = [m if near_share(m, scan, reach_mm) > _NEAR_SHARE else lay_on_scan(m, scan, **press) for m in recorded]
+    placed = [m if lies_on(m, scan, tool) else lay_on_scan(m, scan, **press) for m in recorded]
     if not placed:
         raise InputError(str(asked.path), "holds no motion", "give a recording")
     return placed
