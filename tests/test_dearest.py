@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hapticlod.motion import Motion
-from tuning.sample import _dearest
+from tuning.windows import dearest
 
 TICKS, WINDOW = 2000, 272
 
@@ -26,10 +26,10 @@ def rows(dear: dict[int, int]) -> np.ndarray:
 @pytest.mark.parametrize("tick", [3, 700, 1234, TICKS - 2])
 def test_holds_the_dearest_tick(tick: int) -> None:
     # Many ticks that are a little dearer lie elsewhere; what lies beyond the motion's end does not count.
-    part = _dearest(motion(), rows({tick: 900, TICKS + 100: 10_000} | dict.fromkeys(range(400, 600), 20)), WINDOW)
+    part = dearest(motion(), rows({tick: 900, TICKS + 100: 10_000} | dict.fromkeys(range(400, 600), 20)), WINDOW)
     assert part.ticks == WINDOW
     assert tick in part.position_mm[:, 0]
 
 
 def test_a_motion_that_is_shorter_is_taken_whole() -> None:
-    assert _dearest(motion().part(0.0, 0.1), rows({5: 100}), WINDOW).ticks == 100
+    assert dearest(motion().part(0.0, 0.1), rows({5: 100}), WINDOW).ticks == 100

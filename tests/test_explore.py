@@ -13,26 +13,43 @@ from hapticlod.shipped import shipped_config
 from hapticlod.station import Station, load_station
 from tuning.confirm import Clock, confirmed
 from tuning.explain import agreement, refusal
-from tuning.explore import CELLS, FINISH, MORE, MOST_AGAIN, MOST_MEASURED, RESCUES, ROUNDS, Candidate, explore
+from tuning.explore import MORE, MOST_AGAIN, MOST_IN_ALL, RESCUES, ROUNDS, Candidate, explore
 from tuning.search import Found
 
 BUDGET_US = 600.0
-OTHER_CELLS = [True] * len(CELLS)  # the best, measured with other cells: as dear here, and felt alike
 
 
 class Optimist:
-    """A surrogate that always fills the budget it is given."""
+    """A surrogate that always fills the budget it is given, and believes that twice the cost is half the error."""
 
     def __init__(self) -> None:
         self.asked: list[float] = []
 
+    def look(self, x: np.ndarray, count: int, limits: Any) -> Found:
+        predicted = {"loop_cost_p999_us": float(x[0]), "memory_mb": 10.0}
+        return Found(x, BUDGET_US / float(x[0]), 0.0, predicted)
+
+    def glances(self, points: list[np.ndarray], count: int, limits: Any) -> list[Found]:
+        return [self.look(x, count, limits) for x in points]
+
     def best(self, count: int, limits: Any, seed: int, warm: Any = None) -> Found:
         self.asked.append(limits.budget_us)
-        predicted = {"loop_cost_p999_us": limits.budget_us}
-        return Found(np.array([limits.budget_us, 1.0]), 1.0, 0.0, predicted)
+        return self.look(np.array([limits.budget_us, 1.0]), count, limits)
 
     def best_of_each(self, counts: list[int], limits: Any, seed: int, near: Any) -> dict[int, Found]:
         return {count: self.best(count, limits, seed) for count in counts}
+
+
+class Indifferent(Optimist):
+    """A surrogate that believes nothing to be gained near what it found."""
+
+    def look(self, x: np.ndarray, count: int, limits: Any) -> Found:
+        return replace(super().look(x, count, limits), objective=1.0)
+
+
+def around(x: np.ndarray, count: int, points: int, random: np.random.Generator) -> list[np.ndarray]:
+    """Other costs by a tenth, other cells by a quarter."""
+    return list(x * np.exp([0.1, 0.25] * random.normal(size=(points, 2))))
 
 
 def explored(
@@ -57,9 +74,9 @@ def explored(
     def config(x: np.ndarray, count: int, name: str) -> LodConfig:
         return LodConfig(name=str(x[0]), levels=(Level(triangles=1000, cell_mm=float(x[1]), balls=1),))
 
-    search = search or Optimist()
+    search = search or Indifferent()
     verifier: Any = SimpleNamespace(measured=measured)
-    ready: Any = SimpleNamespace(space=SimpleNamespace(config=config, with_cells=lambda x, factor: x * [1.0, factor]))
+    ready: Any = SimpleNamespace(space=SimpleNamespace(config=config, around=around))
     made = explore(
         search, verifier, ready, station(), counts, 0, lambda *stage: None,  # pyright: ignore[reportArgumentType]
         lambda config, metrics: metrics["felt_error_jnd"], near,
@@ -67,18 +84,22 @@ def explored(
     return made, search.asked
 
 
+def best_of(made: list[Any]) -> Any:
+    return min((c for c in made if c.feasible), key=lambda c: c.objective)
+
+
 def station() -> Station:
     return load_station(shipped_config("stations/desktop_1khz.toml")).adjusted(budget_us=BUDGET_US)
 
 
 def uses_its_budget(found: Candidate) -> bool:
-    """To within 1.5 %."""
-    return 0.985 * BUDGET_US < found.measured["loop_cost_p999_us"] <= BUDGET_US
+    """To within 5 %."""
+    return 0.95 * BUDGET_US < found.measured["loop_cost_p999_us"] <= BUDGET_US
 
 
 def test_one_correction_is_enough_where_the_error_is_a_factor() -> None:
     made, asked = explored(lambda predicted_us: 3.0)
-    assert [candidate.feasible for candidate in made] == [False, True, *OTHER_CELLS, True]
+    assert [candidate.feasible for candidate in made] == [False, True]
     assert asked[1] <= BUDGET_US / 3
     assert uses_its_budget(made[-1])
 
@@ -89,7 +110,7 @@ def test_goes_on_until_the_budget_is_held() -> None:
     held = [candidate.feasible for candidate in made].index(True)
     assert held >= 2
     assert all(later <= 0.95 * earlier + 1e-9 for earlier, later in pairwise(asked[: held + 1]))
-    assert uses_its_budget(min((c for c in made if c.feasible), key=lambda c: c.objective))
+    assert uses_its_budget(best_of(made))
 
 
 def test_gives_up_where_nothing_helps() -> None:
@@ -103,7 +124,7 @@ def test_gives_up_where_nothing_helps() -> None:
 def test_predicted_and_measured_agree_in_the_end(share: float) -> None:
     """The runtime costs a factor, which grows a little with the cost, of what the surrogate says."""
     made, _ = explored(lambda predicted_us: share * (predicted_us / BUDGET_US) ** 0.1)
-    best = min((c for c in made if c.feasible), key=lambda c: c.objective)
+    best = best_of(made)
     assert made[0].disagreement == pytest.approx(abs(1 / share - 1))
     assert best.disagreement is not None and best.disagreement < 0.05
     cost = best.measured["loop_cost_p999_us"]
@@ -118,15 +139,14 @@ def test_a_tail_that_trembles_is_not_drawn_on() -> None:
         lambda predicted_us: 0.92 if predicted_us < 605.0 else 0.75 if predicted_us < 650.0 else 0.77
     )
     assert all(later <= MORE * earlier + 1e-9 for earlier, later in pairwise(asked))
-    best = min((c for c in made if c.feasible), key=lambda c: c.objective)
+    best = best_of(made)
     assert 0.95 * BUDGET_US < best.measured["loop_cost_p999_us"] <= BUDGET_US
 
 
 @pytest.mark.parametrize("share", [0.96, 1.0])
 def test_stops_where_they_agree(share: float) -> None:
-    """Four per cent of the budget are worth one measurement more, beside those of other cells."""
     made, _ = explored(lambda predicted_us: share)
-    assert len(made) - len(OTHER_CELLS) == (1 if share == 1.0 else 2)
+    assert len(made) == 1
     assert made[0].feasible and uses_its_budget(made[-1])
 
 
@@ -135,16 +155,38 @@ def test_a_level_that_is_predicted_to_do_nothing_is_not_measured() -> None:
     assert {candidate.optimum.levels for candidate in made} == {1}
 
 
-@pytest.mark.parametrize(("best", "gain"), [(0.8, 0.9), (1.25, 0.85)])
-def test_cells_that_are_measured_cheaper_buy_feel(best: float, gain: float) -> None:
-    """The surrogate knows nothing of it: the cost of one cell size is measured less, and spent on the rest."""
-    made, asked = explored(lambda predicted_us: 1.0, true_of_cells=lambda factor: gain if factor == best else 1.0)
-    plain, _ = explored(lambda predicted_us: 1.0)
-    chosen, without = (min((c for c in all_ if c.feasible), key=lambda c: c.objective) for all_ in (made, plain))
-    assert chosen.config.levels[0].cell_mm == best
-    assert uses_its_budget(chosen)
-    assert chosen.objective < (gain + 0.03) * without.objective
-    assert max(asked) <= MORE * BUDGET_US
+def test_trials_use_what_is_left_of_the_budget() -> None:
+    """Measured at 0.955 of the budget, it is near enough for the search: the rest is found near by."""
+    plain, _ = explored(lambda predicted_us: 0.955)
+    made, asked = explored(lambda predicted_us: 0.955, search=Optimist())
+    assert len(plain) == len(asked) == 1
+    best = best_of(made)
+    assert 0.98 * BUDGET_US < best.measured["loop_cost_p999_us"] <= BUDGET_US
+    # Expected of a trial is what its prediction says by what was mispredicted before.
+    assert best.disagreement is not None and best.disagreement < 0.01
+    assert best.optimum is made[0].optimum and best.correction == made[0].correction
+
+
+def test_trials_find_cells_that_are_measured_cheaper_and_spend_it() -> None:
+    """The surrogate knows nothing of it."""
+    made, _ = explored(
+        lambda predicted_us: 1.0, true_of_cells=lambda cell: 0.85 if cell < 0.9 else 1.0, search=Optimist()
+    )
+    plain, _ = explored(lambda predicted_us: 1.0, search=Optimist())
+    assert best_of(made).objective < 0.95 * best_of(plain).objective
+    assert best_of(made).config.levels[0].cell_mm < 0.9
+
+
+def test_a_level_count_that_promises_no_more_is_measured_once() -> None:
+    """Predicted a little better, it is measured as much worse than predicted as the one before."""
+
+    class Close(Indifferent):
+        def look(self, x: np.ndarray, count: int, limits: Any) -> Found:
+            return replace(super().look(x, count, limits), objective=1.0 + 0.01 * count)
+
+    made, _ = explored(lambda predicted_us: 1.6, (1, 2, 3), search=Close())
+    counted = [c.optimum.levels for c in made]
+    assert counted.count(1) > 1 and counted.count(2) == counted.count(3) == 1
 
 
 def trembling(predicted_us: float) -> float:
@@ -156,20 +198,30 @@ def test_so_many_are_measured_and_no_more() -> None:
     """Also where every level count is worth measuring, and no two measurements agree."""
 
     class Varied(Optimist):
-        def best_of_each(self, counts: list[int], limits: Any, seed: int, near: Any) -> dict[int, Found]:
-            return {k: replace(self.best(k, limits, seed), objective=1.0 - 0.01 * k) for k in counts}
+        def look(self, x: np.ndarray, count: int, limits: Any) -> Found:
+            found = super().look(x, count, limits)
+            return replace(found, objective=found.objective * 0.95**count)
 
     everywhere, _ = explored(trembling, (1, 2, 3, 4, 5), search=Varied())
-    assert MOST_MEASURED <= len(everywhere) <= MOST_MEASURED + len(CELLS) + FINISH
-    again, _ = explored(trembling, (1, 2), search=Varied(), near={1: np.zeros(2), 2: np.zeros(2)})
+    assert 10 <= len(everywhere) <= MOST_IN_ALL
+    near = {count: replace(everywhere[0], optimum=replace(everywhere[0].optimum, levels=count)) for count in (1, 2)}
+    again, _ = explored(trembling, (1, 2), search=Varied(), near=near)
     assert 1 <= len(again) <= MOST_AGAIN
-    assert not {c.config.levels[0].cell_mm for c in again} - {1.0}
 
 
-def test_cells_are_not_tried_where_the_budget_does_not_bind() -> None:
-    class Content(Optimist):
+def test_a_search_that_goes_on_asks_for_what_the_earlier_learnt() -> None:
+    """The runtime costs half as much again as the surrogate says: the earlier search found out."""
+    made, _ = explored(lambda predicted_us: 1.5)
+    best = best_of(made)
+    again, asked = explored(lambda predicted_us: 1.5, near={1: best})
+    assert len(again) == 1 and uses_its_budget(again[0])
+    assert asked[-1] == pytest.approx(best.correction * BUDGET_US)
+
+
+def test_where_the_budget_does_not_bind_one_measurement_is_enough() -> None:
+    class Content(Indifferent):
         def best(self, count: int, limits: Any, seed: int, warm: Any = None) -> Found:
-            return replace(super().best(count, limits, seed, warm), predicted={"loop_cost_p999_us": 50.0})
+            return replace(super().best(count, limits, seed), predicted={"loop_cost_p999_us": 50.0, "memory_mb": 10.0})
 
     made, _ = explored(lambda predicted_us: 0.1, search=Content())
     assert len(made) == 1

@@ -86,13 +86,15 @@ def test_what_is_not_finite_is_named() -> None:
     assert heads_of([Found(np.zeros(3), float("nan"), 0.0, broken), good], 2) == [good]
 
 
-def test_other_cells_are_nothing_but_other_cells_within_their_bounds() -> None:
+def test_points_about_a_point_keep_order_and_bounds_and_leave_feel_nearly_alone() -> None:
     space = made_space()
-    x = np.full(space.size, 0.5)
-    before, after = space.config(space.ordered(x, 3), 3), space.config(space.with_cells(space.ordered(x, 3), 1.25), 3)
-    assert [level.cell_mm for level in after.levels] == pytest.approx([1.25 * level.cell_mm for level in before.levels])
-    alike = [level.model_copy(update={"cell_mm": 1.0}) for level in before.levels]
-    assert [level.model_copy(update={"cell_mm": 1.0}) for level in after.levels] == alike
-    assert after.speeds_mm_s == before.speeds_mm_s
-    largest = space.with_cells(x, 1e6)
-    assert largest.max() == 1.0 and np.array_equal(space.with_cells(largest, 1e-12).min(), 0.0)
+    x = space.ordered(np.random.default_rng(1).random(space.size), 3)
+    points = np.array(space.around(x, 3, 300, np.random.default_rng(2)))
+    rows, limits = space.order_rows(3)
+    assert points.min() >= 0.0 and points.max() <= 1.0
+    assert (points @ rows.T <= limits + 1e-9).all()
+    before, after = space.config(x, 3), [space.config(point, 3) for point in points]
+    ratio = np.log([[b.cell_mm / a.cell_mm for a, b in zip(before.levels, c.levels, strict=False)][:1] for c in after])
+    sizes = np.log([c.levels[0].triangles / before.levels[0].triangles for c in after])
+    assert 0.1 < ratio.std() < 0.4 and 0.03 < sizes.std() < 0.15
+    assert np.array_equal(points, space.around(x, 3, 300, np.random.default_rng(2)))

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hapticlod.station import Station
 from tuning.explore import AGREE, Candidate, cost_us
 from tuning.objective import holds
@@ -20,7 +17,7 @@ CLOCK_ROUNDS, ASKED = 3, 2
 LEVEL_WORTH = 1e-3
 
 
-Explore = Callable[[Station, Mapping[int, NDArray[np.float64]]], list[Candidate]]
+Explore = Callable[[Station, Mapping[int, Candidate]], list[Candidate]]
 
 
 def merit(candidate: Candidate) -> float:
@@ -75,7 +72,7 @@ def confirmed(
     What was measured is added to `candidates`. `explore` is told the station, with what the clock leaves of its budget,
     and where to begin, by level count. None: nothing holds.
     """
-    near: dict[int, NDArray[np.float64]] = {}
+    near: dict[int, Candidate] = {}
     found = None
     for left in reversed(range(CLOCK_ROUNDS)):
         # Counters are right in proportion; where the clock says more, the best level counts are asked for less.
@@ -90,5 +87,5 @@ def confirmed(
             break
         searched = [c for c in candidates if c.optimum is not None]
         leaders = sorted(searched, key=_promise)[:ASKED]
-        near = {c.optimum.levels: c.optimum.x for c in leaders if c.optimum is not None}
+        near = {c.optimum.levels: c for c in reversed(leaders) if c.optimum is not None}
     return found

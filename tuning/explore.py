@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hapticlod.config import LodConfig
 from hapticlod.station import Station
@@ -15,21 +13,21 @@ from tuning.objective import holds
 from tuning.prepare import Prepared, Stages
 from tuning.search import Found, Limits, Search
 from tuning.sensitivity import Optimum
+from tuning.trials import next_trial
 from tuning.verify import Verifier
 
 ROUNDS = 4  # measurements of one level count
 RESCUES = 5  # further ones while nothing that was measured holds the budget
-FINISH = 3  # and of the best level count, to use what is left of the budget
-# Cell sizes are predicted from short parts of the motions; of the best, others are measured, in its own.
-CELLS = (0.8, 1.25)
-# Before these last ones, while something holds the budget; and in all of a search that goes on from an earlier one.
-MOST_MEASURED, MOST_AGAIN = 12, 4
+FINISH, TRIALS = 2, 8  # and of the best level count, to use what is left of the budget, and near the best
+# Before these last ones, while something holds the budget; in all; and in all of a search that goes on from an earlier.
+MOST_MEASURED, MOST_IN_ALL, MOST_AGAIN = 10, 18, 4
 AGREE = 0.05  # predicted and measured p99.9 may differ by this before the surrogate's budget is corrected
-CLOSE = 0.015  # what of the budget the answer may leave unused before it is tried to use it
 # A level count is not measured if it could not win even were it better than predicted by this factor.
 HOPE = 0.7
 # Nor if fewer levels were predicted as good to this, JND or noticed jumps per second: one more is hardly used.
 ALIKE = 1e-3
+# A later level count is given up after its first measurement if it could then not be better by this than one before.
+WORTH = 0.02
 MUCH_LESS = 0.7  # how much less is asked for, at least, after several measurements over the budget in a row
 # How much more is asked for, at most, than what held: two noisy tails once made a slope that asked for three times it.
 MORE = 1.5
@@ -41,9 +39,11 @@ Judge = Callable[[LodConfig, dict[str, float]], float]
 
 @dataclass(frozen=True)
 class Candidate:
-    """A configuration with what was predicted of it and what was measured; `optimum`: of the search it came from.
+    """A configuration with what was predicted of it and what was measured.
 
-    `expected_us`: the predicted p99.9 cost, corrected by what had been measured before; None: nothing was predicted.
+    `found`: its point, and `optimum`: of the search it came from, `correction`: what that search's budget was the
+    station's times. `expected_us`: the predicted p99.9 cost, corrected by what had been measured before; None: nothing
+    was predicted.
     """
 
     config: LodConfig
@@ -53,6 +53,8 @@ class Candidate:
     feasible: bool
     optimum: Optimum | None = None
     expected_us: float | None = None
+    found: Found | None = None
+    correction: float = 1.0
 
     @property
     def disagreement(self) -> float | None:
@@ -67,93 +69,104 @@ def cost_us(candidate: Candidate) -> float:
 
 def explore(
     search: Search, verifier: Verifier, ready: Prepared, station: Station, counts: Sequence[int], seed: int,
-    stages: Stages, judged: Judge, near: Mapping[int, NDArray[np.float64]] | None = None,
+    stages: Stages, judged: Judge, near: Mapping[int, Candidate] | None = None,
 ) -> list[Candidate]:  # fmt: skip
     """The best of every level count that may win, measured, and searched again while its cost was predicted wrong.
 
     The most promising level count comes first; by how much its cost was mispredicted is where the next one begins.
-    `near`: by level count, where to begin the search: it goes on from an earlier one, with fewer measurements.
+    `near`: by level count, what an earlier search ended with: this one goes on from there, with fewer measurements.
     """
+    near = near or {}
     made: list[Candidate] = []
     most = MOST_AGAIN if near else MOST_MEASURED
 
-    def measured(count: int, found: Found, asked: Correction, cells: float = 1.0) -> Candidate:
+    def measured(found: Found, optimum: Optimum, correction: float, expected_us: float) -> Candidate:
         stages("verify in the runtime", len(made) / (len(counts) * ROUNDS))
-        config = ready.space.config(ready.space.with_cells(found.x, cells), count, f"{count} levels")
+        config = ready.space.config(found.x, optimum.levels, f"{optimum.levels} levels")
         metrics = verifier.measured(config)
-        optimum = Optimum(found.x, count, limits_of(station, asked.value))
-        expected_us = asked.expected_us(found.predicted["loop_cost_p999_us"])
         value, fits = judged(config, metrics), holds(metrics, station)
-        made.append(Candidate(config, found.predicted, metrics, value, fits, optimum, expected_us))
+        made.append(Candidate(config, found.predicted, metrics, value, fits, optimum, expected_us, found, correction))
         return made[-1]
 
-    def best() -> float:
-        return min((c.objective for c in made if c.feasible), default=np.inf)
+    def answer(count: int, found: Found, asked: Correction) -> Candidate:
+        expected_us = asked.expected_us(found.predicted["loop_cost_p999_us"])
+        return measured(found, Optimum(found.x, count, limits_of(station, asked.value)), asked.value, expected_us)
+
+    def best() -> Candidate | None:
+        return min((c for c in made if c.feasible), key=lambda c: c.objective, default=None)
+
+    def least() -> float:
+        held = best()
+        return np.inf if held is None else held.objective
 
     stages("optimise", 0.0)
-    every = search.best_of_each(counts, limits_of(station, 1.0), seed, near or {})
+    begin = {count: before.optimum.x for count, before in near.items() if before.optimum is not None}
+    every = search.best_of_each(counts, limits_of(station, 1.0), seed, begin)
     correction = 1.0
     ended: dict[int, tuple[Found, Correction]] = {}
+    promise = np.inf  # of a level count: its best as predicted, by how much its first was mispredicted
     for count in sorted(counts, key=lambda k: every[k].rank):
-        if HOPE * every[count].objective > best() or _hardly_used(every, count):
+        if HOPE * every[count].objective > least() or _hardly_used(every, count):
             continue
-        if len(made) >= most and np.isfinite(best()):
+        if len(made) >= most and best() is not None:
             break
         found, asked = every[count], Correction(1.0)
+        if not made and count in near:
+            correction = near[count].correction
         if abs(np.log(correction)) > AGREE:
             stages("optimise", len(made) / (len(counts) * ROUNDS))
             asked = Correction(correction)
             found = search.best(count, limits_of(station, correction), seed, found.x)
         for turn in range(ROUNDS + RESCUES):
-            candidate = measured(count, found, asked)
+            candidate = answer(count, found, asked)
             # Asked for less, the search gave what it gave before: there is nothing cheaper to be had of it.
             stuck = any(turn and candidate.config == other.config for other in made[:-1])
             more = asked.corrected(candidate, station) and not stuck
-            rounds = min(ROUNDS, turn + 1 + most - len(made)) if np.isfinite(best()) else ROUNDS + RESCUES
+            if turn == 0:
+                before, promise = promise, min(promise, every[count].objective * _mispredicted(candidate))
+                if promise > (1.0 - WORTH) * before:
+                    break
+            rounds = min(ROUNDS, turn + 1 + most - len(made)) if best() is not None else ROUNDS + RESCUES
             if not more or turn + 1 >= rounds:
                 break
             stages("optimise", len(made) / (len(counts) * ROUNDS))
             found = search.best(count, limits_of(station, asked.value), seed + turn + 1, found.x)
         correction = asked.value
         ended[count] = found, asked
-    winner = min((c for c in made if c.feasible), key=lambda c: c.objective, default=None)
-    if winner is None or winner.optimum is None:
+    held = best()
+    if held is None or held.optimum is None:
         return made
-    count, limits = winner.optimum.levels, winner.optimum.limits
-    found, asked, cells = *ended[count], 1.0
-    if not near and winner.predicted["loop_cost_p999_us"] > (1.0 - AGREE) * limits.budget_us:  # the budget binds
-        known = Found(winner.optimum.x, winner.objective, 0.0, winner.predicted)
-        cheaper = _cheaper_cells(winner, limits.budget_us / station.budget_us, partial(measured, count, known))
-        if cheaper is not None:
-            found, (cells, asked) = known, cheaper
-    if cells == 1.0 and cost_us(winner) > (1.0 - CLOSE) * station.budget_us:
-        return made
+    count = held.optimum.levels
+    found, asked = ended[count]
     for _ in range(FINISH):
-        if (near and len(made) >= most) or not asked.goes_on(station, CLOSE):
+        unused = cost_us(held) < (1.0 - AGREE) * station.budget_us
+        if not unused or (near and len(made) >= most) or not asked.goes_on(station, AGREE):
             break
-        stages("optimise", 0.95)
+        stages("optimise", 0.9)
         found = search.best(count, limits_of(station, asked.value), seed, found.x)
-        asked.take(measured(count, found, asked, cells))
+        asked.take(answer(count, found, asked))
+        held = best() or held
         if any(made[-1].config == other.config for other in made[:-1]):
             break
+    for turn in range(TRIALS):
+        if len(made) >= (most if near else MOST_IN_ALL):
+            break
+        stages("optimise", 0.95)
+        held = best() or held
+        like = [c for c in made if c.optimum is not None and c.optimum.levels == count]
+        trial = next_trial(held, like, count, search, ready.space, station, np.random.default_rng([seed, turn]))
+        if trial is None or held.optimum is None:
+            break
+        point, expected_us = trial
+        whole = search.look(point.x, count, limits_of(station, 1.0))
+        measured(whole, held.optimum, held.correction, expected_us)
     return made
 
 
-def _cheaper_cells(
-    winner: Candidate, value: float, measured: Callable[[Correction, float], Candidate]
-) -> tuple[float, Correction] | None:
-    """By what factor the winner's cells are better, and what is then to be asked for; None: by none that was tried.
-
-    `value`: of the correction that it was found with.
-    """
-    asked = Correction(value)
-    asked.take(winner)
-    tried = {factor: measured(asked, factor) for factor in CELLS}
-    factor = min(tried, key=lambda factor: cost_us(tried[factor]))
-    if cost_us(tried[factor]) > (1.0 - CLOSE) * cost_us(winner):
-        return None
-    asked.take(tried[factor])
-    return factor, asked
+def _mispredicted(candidate: Candidate) -> float:
+    """Measured over predicted objective."""
+    predicted = 0.0 if candidate.found is None else candidate.found.objective
+    return candidate.objective / predicted if predicted > 0.0 else 1.0
 
 
 def _hardly_used(every: Mapping[int, Found], count: int) -> bool:

@@ -23,10 +23,11 @@ from hapticlod.tool import Tool
 from tuning import kept
 from tuning.assemble import LadderData, assemble
 from tuning.calibrate import counted_cost_ns
+from tuning.costing import Costing
 from tuning.grid import Grid, make_clock, make_grid
 from tuning.recordings import seen_and_apart
 from tuning.replays import MOST_RUNTIME_LEVELS, Bench, replay_fixed
-from tuning.sample import Costing, sample_ladder, threads
+from tuning.sample import sample_ladder, threads
 from tuning.space import Space
 
 Progress = Callable[[str, float], None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,90 +13,30 @@ from numpy.typing import NDArray
 from hapticlod.errors import InputError
 from hapticlod.motion import Motion
 from hapticlod.perception import Perception
-from hapticlod.station import CostCoefficients, Station
 from hapticlod.surrogate.cost import SWITCH_SHARES
 from tuning.assemble import LadderData, cell_rungs, dearest_mean, entry_costs
-from tuning.calibrate import (
-    NO_CURVE,
-    PriceCurve,
-    calibrate,
-    counted_cost_ns,
-    price_curve,
-    without_interrupts,
-)
+from tuning.calibrate import calibrate
+from tuning.costing import Costing
 from tuning.grid import Clock
 from tuning.level_fields import level_fields, make_reference
 from tuning.relay import leaps, mean_step, relay_ladder
 from tuning.replays import Bench, replay_fixed, tour_ladder
+from tuning.timing import counters_only, curve_of, prices_of_levels, time_ticks
+from tuning.windows import SETTLING_TICKS, dearest, middle
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 # Mapping lengths that switches are priced with, in the tour's.
 _REACHES = (0.5, 4.0)
-# Every so many rungs are timed with repeats, on so many ticks per motion: what tells counted cost from other programs.
-_TIMED_RUNGS, _TIMED_TICKS, _TIMED_REPEATS = 4, 480, 3
 # Ticks per motion on which other cell sizes are tried: usual ones, from its middle, and as many about its dearest ones,
-# which make the tail. And those before them that put the tool in its place.
-_CELL_TICKS, _SETTLING_TICKS = 240, 32
-
-
-# Rows of one level, and its bytes and balls.
-_Timed = tuple[NDArray, int, int]
+# which make the tail.
+_CELL_TICKS = 240
 
 
 def threads() -> int:
     """Replays that run at once."""
     return max(1, len(os.sched_getaffinity(0)))
-
-
-@dataclass(frozen=True)
-class Costing:
-    """How this machine's time becomes the station's.
-
-    `here` are this machine's coefficients, `curve` what they get wrong by the size of a tick, and `entering` the same
-    of ticks that enter a level. A station with coefficients of its own is taken to do the same counted work at its own
-    prices; what nobody counts is taken to cost in proportion. `slowdown` multiplies everything.
-    """
-
-    here: CostCoefficients
-    station: Station
-    curve: PriceCurve = NO_CURVE
-    entering: PriceCurve = NO_CURVE
-
-    def counted_ns(
-        self, rows: NDArray, level_bytes: int | Array, level_balls: int | Array,
-        enters: NDArray[np.bool_] | None = None,
-    ) -> Array:  # fmt: skip
-        """(T,) cost on the station by counters alone: the same whenever it is asked for.
-
-        `enters`: (T,) which ticks enter a level; None: none does.
-        """
-        here = counted_cost_ns(rows, level_bytes, self.here, level_balls)
-        cost = self.station.cost
-        there = here if cost is None else counted_cost_ns(rows, level_bytes, cost, level_balls)
-        return there * self._factor(here, enters) * self.station.slowdown
-
-    def cost_ns(
-        self, rows: NDArray, level_bytes: int | Array, level_balls: int | Array,
-        enters: NDArray[np.bool_] | None = None,
-    ) -> Array:  # fmt: skip
-        """(T,) cost on the station by the clock, interrupts taken out. `enters`: as in `counted_ns`."""
-        counted = counted_cost_ns(rows, level_bytes, self.here, level_balls)
-        cost = without_interrupts(rows, counted * self._factor(counted, enters)) * self.station.slowdown
-        if self.station.cost is None:
-            return cost
-        there = counted_cost_ns(rows, level_bytes, self.station.cost, level_balls)
-        return cost * there / np.maximum(counted, 1.0)
-
-    def _factor(self, counted_ns: Array, enters: NDArray[np.bool_] | None) -> Array:
-        staying = self.curve.factor(counted_ns)
-        return staying if enters is None else np.where(enters, self.entering.factor(counted_ns), staying)
-
-
-def entered(rows: NDArray) -> NDArray[np.bool_]:
-    """(T,) the ticks of one record that enter a level: those whose level is not that of the tick before."""
-    return np.diff(rows["level"].astype(np.int64), prepend=rows["level"][:1]) != 0
 
 
 def sample_ladder(
@@ -150,7 +90,7 @@ def sample_ladder(
         for count, (place, (made, rows)) in enumerate(zip(places, pool.map(one, places), strict=True), 1):
             for name, values in made.items():
                 fields.setdefault(name, np.zeros((*grid.shape, *values.shape)))[place] = values
-            kept[place] = _counters_only(rows)
+            kept[place] = counters_only(rows)
             progress("replay the ladder", count / len(places))
 
     progress("switch between levels", 0.0)
@@ -169,31 +109,36 @@ def sample_ladder(
     ]  # fmt: skip
     entered = [(place, rows) for entries, _ in relays for place, rows in entries.items() if len(rows)]
     chosen = tuple(cell_rungs(grid))
-    usual = [_middle(motion, _SETTLING_TICKS + _CELL_TICKS) for motion in part]
-    dear = [_dearest(motion, rows, _SETTLING_TICKS + _CELL_TICKS) for motion, rows in zip(part, first, strict=True)]
+    usual = [middle(motion, SETTLING_TICKS + _CELL_TICKS) for motion in part]
+    dear = [dearest(motion, rows, SETTLING_TICKS + _CELL_TICKS) for motion, rows in zip(whole, first, strict=True)]
     swept, cell_bytes = _sweep_cells(bench, levels, chosen, usual, dear, progress)
 
     # Prices of cells and triangles show where cell sizes differ, those of mappings where levels are entered.
-    timed = _timed(bench, levels, part)
+    progress("time ticks", 0.0)
+    timed_levels, timed = time_ticks(bench, levels, chosen, whole, first)
     staying = [(rows, int(level_bytes[r]), grid.balls[b]) for (r, b), rows in kept.items()]
     once = [(rows, int(cell_bytes[s, h]), grid.balls[b]) for (s, b, h), both in swept.items() for rows in both]
-    entering = [(_counters_only(rows), int(level_bytes[r]), grid.balls[b]) for (r, b), rows in entered]
+    entering = [(counters_only(rows), int(level_bytes[r]), grid.balls[b]) for (r, b), rows in entered]
     every = [*timed, *staying, *once, *entering]
     here = calibrate(
         [rows for rows, _, _ in every], [size for _, size, _ in every], [count for _, _, count in every],
         repeated=len(timed),
     )  # fmt: skip
-    curve = _curve(staying, here)
-    costing = Costing(here, station, curve, _curve(entering, here) if entering else curve)
+    # Dearest paired with dearest: what a tick takes beside its counts spreads costs, and a quantile is wanted.
+    curve = curve_of(timed, here)
+    costing = Costing(here, station, curve, curve_of(entering, here) if entering else curve)
+    costing = replace(costing, levels=prices_of_levels(grid, timed_levels, timed, costing))
+    rung_factor = [costing.levels.factor(grid.triangles[r], grid.cell_mm(r)) for r in range(rungs)]
     cost = np.zeros((*grid.shape, clock.ticks))
     for (r, b), rows in kept.items():
-        cost[r, b] = costing.counted_ns(rows, int(level_bytes[r]), grid.balls[b])
+        cost[r, b] = costing.counted_ns(rows, int(level_bytes[r]), grid.balls[b], None, rung_factor[r])
     switch = np.zeros((2, *grid.shape, len(SWITCH_SHARES), len(kinds)))
     for i, (entries, touched) in enumerate(relays):
         for place, rows in entries.items():
             enters = np.ones(len(rows), dtype=bool)
             size, carried = int(level_bytes[place[0]]), grid.balls[place[1]]
-            priced = costing.counted_ns(rows, size, carried, enters) if len(rows) else np.zeros(0)
+            factor = rung_factor[place[0]]
+            priced = costing.counted_ns(rows, size, carried, enters, factor) if len(rows) else np.zeros(0)
             switch[:, *place, :, i] = np.stack(entry_costs(priced, touched[place], cost[place]))
 
     data = LadderData(
@@ -202,39 +147,14 @@ def sample_ladder(
         reference=reference, tour=tour,
         switch_ns=switch[0], free_switch_ns=switch[1], reach_mm=reach_mm,
         steps=(mean_step(range(rungs), grid.triangles), mean_step(leaps(rungs), grid.triangles)), cell_rungs=chosen,
-        cell_cost=_cell_cost(bench, swept, cell_bytes, costing), level_bytes=level_bytes, cell_bytes=cell_bytes,
+        cell_cost=_cell_cost(bench, chosen, swept, cell_bytes, costing), level_bytes=level_bytes, cell_bytes=cell_bytes,
     )  # fmt: skip
     return data, costing
-
-
-def _counters_only(rows: NDArray) -> NDArray:
-    names = ["cost_ns", "cells", "triangles", "tests", "iterations", "balls", "mapping_cells"]
-    out = np.zeros(len(rows), dtype=[(name, rows.dtype[name]) for name in names])
-    for name in names:
-        out[name] = rows[name]
-    return out
-
-
-def _curve(records: Sequence[_Timed], here: CostCoefficients) -> PriceCurve:
-    counted = [counted_cost_ns(rows, size, here, balls) for rows, size, balls in records]
-    return price_curve(np.concatenate([rows["cost_ns"] for rows, _, _ in records]), np.concatenate(counted))
 
 
 def _velocity_mm_s(motions: Sequence[Motion]) -> Array:
     places = [motion.position_mm for motion in motions]
     return np.concatenate([np.diff(at, axis=0, prepend=at[:1]) for at in places]) * motions[0].loop_hz
-
-
-def _timed(bench: Bench, levels: Sequence, motions: Sequence[Motion]) -> list[_Timed]:
-    """A few replays, one after the other: a tick's time is its least of several runs."""
-    parts = [_middle(motion, _SETTLING_TICKS + _TIMED_TICKS) for motion in motions]
-    made = []
-    for r in range(0, len(levels), _TIMED_RUNGS):
-        for b in sorted({0, len(bench.grid.balls) - 1}):
-            replays = replay_fixed(bench, levels[r], r, bench.grid.balls[b], parts, _TIMED_REPEATS)
-            rows = _counters_only(np.concatenate([rows[_SETTLING_TICKS:] for rows in replays]))
-            made.append((rows, levels[r].bytes, bench.grid.balls[b]))
-    return made
 
 
 # Rows of one cell size: of the usual ticks, and of the dearest.
@@ -257,7 +177,7 @@ def _sweep_cells(
         size[s, h] = level.bytes
         for b, balls in enumerate(grid.balls):
             made = [
-                _counters_only(np.concatenate([row[_SETTLING_TICKS:] for row in replayed]))
+                counters_only(np.concatenate([row[SETTLING_TICKS:] for row in replayed]))
                 for replayed in (replay_fixed(bench, level, rung, balls, m, 1, h) for m in (usual, dear))
             ]
             swept[s, b, h] = made[0], made[1]
@@ -270,35 +190,15 @@ def _sweep_cells(
     return {place: swept[place] for place in sorted(swept)}, size
 
 
-def _cell_cost(bench: Bench, swept: _Swept, cell_bytes: Array, costing: Costing) -> Array:
+def _cell_cost(bench: Bench, chosen: Sequence[int], swept: _Swept, cell_bytes: Array, costing: Costing) -> Array:
     """(S, B, H, 2) mean cost of the usual ticks and that of the dearest, by what they counted.
 
     Cell sizes differ by tenths; a short part timed once shows what else the machine did meanwhile.
     """
-    balls = bench.grid.balls
+    grid, balls = bench.grid, bench.grid.balls
     cost = np.zeros((cell_bytes.shape[0], len(balls), cell_bytes.shape[1], 2))
     for (s, b, h), both in swept.items():
-        usual, dear = (costing.counted_ns(rows, int(cell_bytes[s, h]), balls[b]) for rows in both)
+        factor = costing.levels.factor(grid.triangles[chosen[s]], grid.cell_mm(chosen[s], h))
+        usual, dear = (costing.counted_ns(rows, int(cell_bytes[s, h]), balls[b], None, factor) for rows in both)
         cost[s, b, h] = usual.mean(), dearest_mean(dear)
     return cost
-
-
-def _middle(motion: Motion, ticks: int) -> Motion:
-    """So many ticks of a motion, or all where it is shorter."""
-    return _stretch(motion, (motion.ticks - ticks) // 2, ticks)
-
-
-def _dearest(motion: Motion, rows: NDArray, ticks: int) -> Motion:
-    """So many ticks of a motion about those that ask most, by what was counted over its first so many."""
-    asked = np.sum(
-        [rows[name][: motion.ticks] / max(rows[name].mean(), 1e-9) for name in ("triangles", "tests")], axis=0
-    )
-    # Where the window's tail is largest, not its sum: p99.9 rests on single ticks.
-    at = int(np.argmax(np.convolve(np.square(asked), np.ones(ticks - _SETTLING_TICKS), mode="same")))
-    return _stretch(motion, at - ticks // 2, ticks)
-
-
-def _stretch(motion: Motion, first: int, ticks: int) -> Motion:
-    """So many ticks from about the first on, moved to where the motion has them."""
-    first = min(max(first, 0), max(motion.ticks - ticks, 0))
-    return motion.part(first / motion.loop_hz, min(first + ticks, motion.ticks) / motion.loop_hz)

@@ -347,6 +347,11 @@ class Search:
             raw, value = jax.device_get(_look(*asked))
         return _found(x, value, {name: float(each) for name, each in raw.items()}, limits)
 
+    def glances(self, points: Sequence[NDArray[np.float64]], levels: int, limits: Limits) -> list[Found]:
+        """What a search needs to know of points."""
+        with ThreadPoolExecutor(threads()) as pool:
+            return list(pool.map(lambda x: self._glanced(x, levels, limits), points))
+
     def _glanced(self, x: NDArray[np.float64], levels: int, limits: Limits) -> Found:
         """What a search needs to know of x: `predicted` has `GLANCED` alone."""
         with jax.enable_x64(True):

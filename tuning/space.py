@@ -20,6 +20,9 @@ from hapticlod.surrogate.parameters import Parameters
 
 MOST_LEVELS = 5
 Bounds = tuple[float, float]
+# Of points about another: by what ln factor all levels and each level's cells change, and what share of all other
+# coordinates by how much of [0, 1]; normal.
+_RESIZED, _RECELLED, _SHAKEN, _SHAKE = 0.08, 0.25, 0.3, 0.03
 
 
 def split(log, most_levels: int) -> dict[str, Any]:
@@ -242,12 +245,21 @@ class Space:
         wider[3 * self.most_levels + levels - 1 :][: self.most_levels - levels] = 1.0
         return self.ordered(wider, levels + 1)
 
-    def with_cells(self, x: NDArray, factor: float) -> NDArray:
-        """x with all cells so many times as large, within their bounds."""
-        out, cells = np.array(x, dtype=np.float64), slice(2 * self.most_levels, 3 * self.most_levels)
-        step = np.log(factor) / np.log(self.cell_edges[1] / self.cell_edges[0])
-        out[cells] = np.clip(out[cells] + step, 0.0, 1.0)
-        return out
+    def around(self, x: NDArray, levels: int, count: int, random: np.random.Generator) -> list[NDArray]:
+        """Points about x that keep the order: all levels larger or smaller by one factor, other cells, all else shaken.
+
+        Cells by tenths: cost trembles most over them, and nothing of them is felt. Triangles by what a budget's
+        last tenths buy.
+        """
+        low, high = self.log_bounds
+        span, k = np.maximum(high - low, 1e-12), self.most_levels
+        points = []
+        for _ in range(count):
+            step = np.where(random.random(self.size) < _SHAKEN, _SHAKE * random.normal(size=self.size), 0.0)
+            step[:k] += _RESIZED * random.normal() / span[:k]
+            step[2 * k : 3 * k] += _RECELLED * random.normal(size=k) / span[2 * k : 3 * k]
+            points.append(self.ordered(np.asarray(x, dtype=np.float64) + step, levels))
+        return points
 
     def sample(self, count: int, levels: int, seed: int) -> NDArray:
         """(count, n) Latin hypercube points that keep the order."""

@@ -6,9 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hapticlod.config import LodConfig
 from hapticlod.errors import InputError
 from hapticlod.ladder import Ladder
@@ -19,12 +16,12 @@ from hapticlod.tool import Tool
 from tuning.baselines import baselines as baseline_configs
 from tuning.compile_cache import keep_compiled
 from tuning.confirm import Clock, confirmed, merit
+from tuning.costing import Costing
 from tuning.explain import agreement, explain, refusal
 from tuning.explore import Candidate, Judge, cost_us, explore, limits_of
 from tuning.objective import holds
 from tuning.population import POOLED, check_over, measured_each, measured_objective
 from tuning.prepare import Prepared, Progress, Stages, prepare
-from tuning.sample import Costing
 from tuning.search import Search
 from tuning.sensitivity import sensitivities, sentence
 from tuning.verify import Verifier
@@ -112,7 +109,7 @@ def tune(
     baselines, ticks, candidates = _baselines(ready, verifier, tool, station, judged, stages)
     clock = Clock(verifier, station)
 
-    def explored(allowed: Station, near: Mapping[int, NDArray[np.float64]]) -> list[Candidate]:
+    def explored(allowed: Station, near: Mapping[int, Candidate]) -> list[Candidate]:
         made = explore(search, verifier, ready, allowed, list(near) or counts, seed, stages, judged, near)
         stages("ask the clock", 0.0)
         return made

@@ -19,11 +19,12 @@ from hapticlod.station import Station
 from hapticlod.tool import Tool
 from tuning import kept
 from tuning.baselines import finest_only
+from tuning.costing import Costing, entered
 from tuning.load import LoadMeter, mean_load
-from tuning.sample import Costing, entered, threads
+from tuning.sample import threads
 
 # By the clock, a tick's time is its least over at most so many runs: other programs take time, the tick does not.
-CLOCK_RUNS = 4
+CLOCK_RUNS = 12
 CLOCK_QUANTILES = {"loop_cost_p50_us": 0.5, "loop_cost_p99_us": 0.99, "loop_cost_p999_us": 0.999}
 
 
@@ -76,6 +77,7 @@ class Verifier:
         """Records, one per motion, and what the clock said of their ticks, us."""
         origin = self.ladder.scan.centre_mm
         levels = [runtime_level(self.ladder.at(level.triangles), origin, level.cell_mm) for level in config.levels]
+        factors = np.array([self.costing.levels.factor(level.triangles, level.cell_mm) for level in config.levels])
 
         def one(motion: Motion) -> tuple[Record, NDArray[np.float32]]:
             # Not cut short: what a configuration costs and feels like is then the same for every budget.
@@ -84,8 +86,9 @@ class Verifier:
             used = np.array(record.level_bytes)[rows["level"]]
             balls = np.array([min(level.balls, self.tool.balls) for level in config.levels])[rows["level"]]
             enters = entered(rows)
-            clock_ns = self.costing.cost_ns(record.rows, used, balls, enters)
-            rows["cost_ns"] = self.costing.counted_ns(record.rows, used, balls, enters)
+            factor = factors[rows["level"]]
+            clock_ns = self.costing.cost_ns(record.rows, used, balls, enters, factor)
+            rows["cost_ns"] = self.costing.counted_ns(record.rows, used, balls, enters, factor)
             # The costing has counted the slowdown.
             return replace(record, rows=rows, slowdown=1.0), (1e-3 * clock_ns).astype(np.float32)
 
