@@ -20,7 +20,7 @@ from tuning.search import Found, Limits
 from tuning.space import Space
 
 PROPOSED = 48  # points near the best that the surrogate looks at before each trial
-LEAST_GAIN = 4e-3  # of the objective: less is expected of no proposal, and trials end
+LEAST_GAIN = 2e-3  # of the objective: less is expected of no proposal, and trials end
 # Noise of ln measured over predicted cost: of one measurement that is always counted, and the least that is believed.
 _PRIOR, _LEAST_NOISE = 0.04, 0.02
 _LIKE = 0.08  # in ln predicted cost: how near others tell of one
