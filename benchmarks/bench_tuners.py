@@ -117,9 +117,10 @@ def _compared(
     # By counters, as the others': what the clock refuses of it depends on what else this machine does.
     ours = sorted((c for c in result.candidates if holds(c.measured, target)), key=lambda c: c.objective)
     leaders = {OURS: [(c.config, c.objective) for c in ours]}
+    # Candidates, of which the finest level is one, and two more baselines; what was asked for twice ran once.
+    measured = len({c.config.changed(name="").model_dump_json() for c in result.candidates}) + 2
     rows[OURS] = {
-        # Candidates, of which the finest level is one, and two more baselines.
-        "evaluations": len(result.candidates) + 2, "seconds": ours_s, "best_in_our_time": leaders[OURS][0][1],
+        "evaluations": measured, "seconds": ours_s, "best_in_our_time": leaders[OURS][0][1],
         "best": leaders[OURS][0][1], "chosen": result.candidates[0].objective,
     }  # fmt: skip
     for name, (method, factor) in METHODS.items():
