@@ -11,9 +11,11 @@ import pytest
 from hapticlod.config import Level, LodConfig
 from hapticlod.shipped import shipped_config
 from hapticlod.station import Station, load_station
+from tuning.candidate import Candidate
 from tuning.confirm import Clock, confirmed
+from tuning.correction import MORE
 from tuning.explain import agreement, refusal
-from tuning.explore import MORE, MOST_AGAIN, MOST_IN_ALL, RESCUES, ROUNDS, Candidate, explore
+from tuning.explore import MOST_AGAIN, MOST_IN_ALL, RESCUES, ROUNDS, explore
 from tuning.search import Found
 
 BUDGET_US = 600.0

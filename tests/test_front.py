@@ -13,9 +13,9 @@ import tuning.cli
 from hapticlod.config import Level, LodConfig
 from hapticlod.shipped import shipped_config
 from hapticlod.station import load_station
+from tuning.candidate import Candidate
 from tuning.commands.pareto import front_table
 from tuning.commands.tune import DEFAULT_STATION
-from tuning.explore import Candidate
 from tuning.front import Front, FrontPoint, follow
 from tuning.search import Limits, Search
 from tuning.verified_front import best_of

@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from hapticlod.station import Station
-from tuning.explore import AGREE, Candidate, cost_us
+from tuning.candidate import Candidate, cost_us
+from tuning.correction import AGREE
 from tuning.objective import holds
 from tuning.verify import Verifier
 

@@ -10,7 +10,7 @@ from tuning.objective import holds
 if TYPE_CHECKING:
     from hapticlod.station import Station
     from hapticlod.tool import Tool
-    from tuning.tune import Candidate
+    from tuning.candidate import Candidate
 
 
 # A refusal by the clock is told where it cost this part of the objective, and the machine is called busy where other

@@ -14,11 +14,13 @@ from hapticlod.scan import Scan
 from hapticlod.station import Station
 from hapticlod.tool import Tool
 from tuning.baselines import baselines as baseline_configs
+from tuning.candidate import Candidate, cost_us
 from tuning.compile_cache import keep_compiled
 from tuning.confirm import Clock, confirmed, merit
+from tuning.correction import limits_of
 from tuning.costing import Costing
 from tuning.explain import agreement, explain, refusal
-from tuning.explore import Candidate, Judge, cost_us, explore, limits_of
+from tuning.explore import Judge, explore
 from tuning.objective import holds
 from tuning.population import POOLED, check_over, measured_each, measured_objective
 from tuning.prepare import Prepared, Progress, Stages, prepare

@@ -9,7 +9,8 @@ import numpy as np
 
 from hapticlod.config import LodConfig
 from hapticlod.station import Station
-from tuning.explore import Candidate, Correction
+from tuning.candidate import Candidate
+from tuning.correction import Correction
 from tuning.objective import holds
 from tuning.search import Found, Limits, Search
 from tuning.sensitivity import Optimum
