@@ -21,6 +21,8 @@ from tuning.verify import Verifier
 ROUNDS = 4  # measurements of one level count
 RESCUES = 5  # further ones while nothing that was measured holds the budget
 FINISH, TRIALS = 2, 8  # and of the best level count, to use what is left of the budget, and near the best
+# Fewer near the best where levels are large: to make and build them takes longer than they are touched for.
+FEWEST_TRIALS, _TRIED_TRIANGLES = 2, 2e6
 # Before these last ones, while something holds the budget; in all; and in all of a search that goes on from an earlier.
 MOST_MEASURED, MOST_IN_ALL, MOST_AGAIN = 10, 18, 4
 # A level count is not measured if it could not win even were it better than predicted by this factor.
@@ -151,7 +153,11 @@ class _Exploration:
 
     def try_near(self, levels: int, most: int) -> None:
         """Measures what should gain most near the best."""
-        for turn in range(TRIALS):
+        trials = TRIALS
+        if self.best is not None:
+            large = _TRIED_TRIANGLES / sum(level.triangles for level in self.best.config.levels)
+            trials = round(min(max(large, FEWEST_TRIALS), TRIALS))
+        for turn in range(trials):
             best = self.best
             if best is None or best.optimum is None or len(self.made) >= most:
                 return

@@ -76,7 +76,10 @@ class Verifier:
     def runs_of(self, config: LodConfig) -> tuple[list[Record], tuple[NDArray[np.float32], ...]]:
         """Records, one per motion, and what the clock said of their ticks, us."""
         origin = self.ladder.scan.centre_mm
-        levels = [runtime_level(self.ladder.at(level.triangles), origin, level.cell_mm) for level in config.levels]
+        with ThreadPoolExecutor(threads()) as pool:
+            rungs = pool.map(self.ladder.at, [level.triangles for level in config.levels])
+            cells_mm = [level.cell_mm for level in config.levels]
+            levels = list(pool.map(lambda rung, cell_mm: runtime_level(rung, origin, cell_mm), rungs, cells_mm))
         factors = np.array([self.costing.levels.factor(level.triangles, level.cell_mm) for level in config.levels])
 
         def one(motion: Motion) -> tuple[Record, NDArray[np.float32]]:
