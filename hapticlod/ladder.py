@@ -125,11 +125,13 @@ class Ladder:
         if triangles >= self.scan.triangles:
             return self.rungs[0]
         steps = min(self._collapses.collapses_for(triangles), self._last)
-        if steps not in self._made:
+        made = self._made.get(steps)
+        if made is None:
             if len(self._made) >= _REMEMBERED:
                 self._made.pop(next(iter(self._made)), None)
-            self._made[steps] = _rung(self._collapses, steps, triangles, self.scan, self.rungs[0]._scan, self._sides)
-        return self._made[steps]
+            made = _rung(self._collapses, steps, triangles, self.scan, self.rungs[0]._scan, self._sides)
+            self._made[steps] = made  # several threads may ask, and two for the same
+        return made
 
 
 def build_ladder(

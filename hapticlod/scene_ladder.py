@@ -112,12 +112,13 @@ class SceneLadder:
                 return rung
         if triangles >= self.rungs[0].triangles:
             return self.rungs[0]
-        if triangles not in self._made:
+        made = self._made.get(triangles)
+        if made is None:
             if len(self._made) >= _REMEMBERED:
                 self._made.pop(next(iter(self._made)), None)
-            share = share_for(self.scan, triangles)
-            self._made[triangles] = _rung(self.scan, self.ladders, share, triangles)
-        return self._made[triangles]
+            made = _rung(self.scan, self.ladders, share_for(self.scan, triangles), triangles)
+            self._made[triangles] = made  # several threads may ask, and two for the same
+        return made
 
 
 def ladder_of(scan: Scan, *, progress: Callable[[str, float], None] | None = None, keep: Keep = make_anew) -> Ladder:
