@@ -76,7 +76,7 @@ def explored(
     def config(x: np.ndarray, count: int, name: str) -> LodConfig:
         return LodConfig(name=str(x[0]), levels=(Level(triangles=1000, cell_mm=float(x[1]), balls=1),))
 
-    search = search or Indifferent()
+    search = search or Optimist()
     verifier: Any = SimpleNamespace(measured=measured)
     ready: Any = SimpleNamespace(space=SimpleNamespace(config=config, around=around))
     made = explore(
@@ -95,15 +95,15 @@ def station() -> Station:
 
 
 def uses_its_budget(found: Candidate) -> bool:
-    """To within 5 %."""
-    return 0.95 * BUDGET_US < found.measured["loop_cost_p999_us"] <= BUDGET_US
+    """To within 1.5 %."""
+    return 0.985 * BUDGET_US < found.measured["loop_cost_p999_us"] <= BUDGET_US
 
 
 def test_one_correction_is_enough_where_the_error_is_a_factor() -> None:
     made, asked = explored(lambda predicted_us: 3.0)
-    assert [candidate.feasible for candidate in made] == [False, True]
-    assert asked[1] <= BUDGET_US / 3
-    assert uses_its_budget(made[-1])
+    assert [candidate.feasible for candidate in made[:2]] == [False, True]
+    assert asked[1] <= BUDGET_US / 3 and len(asked) == 2  # the rest of the budget is used by trials, not by searches
+    assert uses_its_budget(best_of(made))
 
 
 def test_goes_on_until_the_budget_is_held() -> None:
@@ -147,9 +147,11 @@ def test_a_tail_that_trembles_is_not_drawn_on() -> None:
 
 @pytest.mark.parametrize("share", [0.96, 1.0])
 def test_stops_where_they_agree(share: float) -> None:
-    made, _ = explored(lambda predicted_us: share)
-    assert len(made) == 1
-    assert made[0].feasible and uses_its_budget(made[-1])
+    plain, _ = explored(lambda predicted_us: share, search=Indifferent())
+    assert len(plain) == 1
+    made, asked = explored(lambda predicted_us: share)
+    assert len(asked) == 1
+    assert made[0].feasible and uses_its_budget(best_of(made))
 
 
 def test_a_level_that_is_predicted_to_do_nothing_is_not_measured() -> None:
@@ -159,8 +161,8 @@ def test_a_level_that_is_predicted_to_do_nothing_is_not_measured() -> None:
 
 def test_trials_use_what_is_left_of_the_budget() -> None:
     """Measured at 0.955 of the budget, it is near enough for the search: the rest is found near by."""
-    plain, _ = explored(lambda predicted_us: 0.955)
-    made, asked = explored(lambda predicted_us: 0.955, search=Optimist())
+    plain, _ = explored(lambda predicted_us: 0.955, search=Indifferent())
+    made, asked = explored(lambda predicted_us: 0.955)
     assert len(plain) == len(asked) == 1
     best = best_of(made)
     assert 0.98 * BUDGET_US < best.measured["loop_cost_p999_us"] <= BUDGET_US
@@ -171,10 +173,8 @@ def test_trials_use_what_is_left_of_the_budget() -> None:
 
 def test_trials_find_cells_that_are_measured_cheaper_and_spend_it() -> None:
     """The surrogate knows nothing of it."""
-    made, _ = explored(
-        lambda predicted_us: 1.0, true_of_cells=lambda cell: 0.85 if cell < 0.9 else 1.0, search=Optimist()
-    )
-    plain, _ = explored(lambda predicted_us: 1.0, search=Optimist())
+    made, _ = explored(lambda predicted_us: 1.0, true_of_cells=lambda cell: 0.85 if cell < 0.9 else 1.0)
+    plain, _ = explored(lambda predicted_us: 1.0)
     assert best_of(made).objective < 0.95 * best_of(plain).objective
     assert best_of(made).config.levels[0].cell_mm < 0.9
 
@@ -216,8 +216,8 @@ def test_a_search_that_goes_on_asks_for_what_the_earlier_learnt() -> None:
     made, _ = explored(lambda predicted_us: 1.5)
     best = best_of(made)
     again, asked = explored(lambda predicted_us: 1.5, near={1: best})
-    assert len(again) == 1 and uses_its_budget(again[0])
-    assert asked[-1] == pytest.approx(best.correction * BUDGET_US)
+    assert len(again) <= MOST_AGAIN and uses_its_budget(best_of(again))
+    assert again[0].feasible and asked[-1] == pytest.approx(best.correction * BUDGET_US)
 
 
 def test_where_the_budget_does_not_bind_one_measurement_is_enough() -> None:

@@ -1,14 +1,17 @@
 """What is measured next near the best: what should gain most, by the surrogate and by what was measured."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from hapticlod.config import Level, LodConfig
 from hapticlod.shipped import shipped_config
 from hapticlod.station import Station, load_station
+from tuning.candidate import Candidate
 from tuning.search import Found
 from tuning.trials import CostError, next_trial
 
@@ -24,10 +27,12 @@ def found(predicted_us: float, objective: float, memory_mb: float = 10.0) -> Fou
     return Found(np.array([predicted_us]), objective, 0.0, metrics)
 
 
-def measured(predicted_us: float, cost_us: float, objective: float = 1.0) -> Any:
-    return SimpleNamespace(
-        found=found(predicted_us, objective), measured={"loop_cost_p999_us": cost_us}, objective=objective
-    )
+def measured(predicted_us: float, cost_us: float, objective: float = 1.0) -> Candidate:
+    """Predicted to be of objective 1."""
+    config = LodConfig(levels=(Level(triangles=1000, cell_mm=1.0, balls=1),))
+    point = found(predicted_us, 1.0)
+    metrics = {"loop_cost_p999_us": cost_us}
+    return Candidate(config, point.predicted, metrics, objective, cost_us <= BUDGET_US, found=point)
 
 
 def trial(best: Any, like: Sequence[Any], proposals: list[Found]) -> tuple[Found, float] | None:
@@ -61,8 +66,7 @@ def test_the_gain_is_weighed_by_the_chance_that_the_budget_holds() -> None:
 
 def test_gains_are_scaled_by_how_the_best_was_mispredicted() -> None:
     """Predicted 1.0, measured 2.0: a proposal of 1.5 is better, one of 1.0 as predicted is not."""
-    best = measured(80.0, 90.0)
-    best.objective = 2.0
+    best = measured(80.0, 90.0, 2.0)
     assert trial(best, [best], [found(80.0, 1.0)]) is None
     chosen = trial(best, [best], [found(80.0, 1.0), found(80.0, 0.9)])
     assert chosen is not None and chosen[0].objective == 0.9
@@ -72,5 +76,4 @@ def test_nothing_is_tried_that_gains_nothing_or_cannot_hold() -> None:
     best = measured(80.0, 90.0)
     hopeless = [found(80.0, 1.0), found(80.0, 1.2), found(300.0, 0.1), found(80.0, 0.5, 60.0), found(80.0, np.nan)]
     assert trial(best, [best], hopeless) is None
-    best.found = None
-    assert trial(best, [], [found(80.0, 0.5)]) is None
+    assert trial(replace(best, found=None), [], [found(80.0, 0.5)]) is None

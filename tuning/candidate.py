@@ -8,6 +8,8 @@ from hapticlod.config import LodConfig
 from tuning.search import Found
 from tuning.sensitivity import Optimum
 
+COST = "loop_cost_p999_us"  # what the budget limits
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -33,7 +35,13 @@ class Candidate:
         """By what part of itself the measured p99.9 cost misses what was expected; None: nothing was."""
         return None if self.expected_us is None else abs(self.expected_us / cost_us(self) - 1.0)
 
+    @property
+    def mispredicted(self) -> float:
+        """Measured over predicted objective; 1 where none was predicted."""
+        predicted = 0.0 if self.found is None else self.found.objective
+        return self.objective / predicted if predicted > 0.0 else 1.0
+
 
 def cost_us(candidate: Candidate) -> float:
     """What the budget limits, as measured."""
-    return candidate.measured["loop_cost_p999_us"]
+    return candidate.measured[COST]

@@ -127,7 +127,7 @@ class _Exploration:
                 # Asked for less, the search gave what it gave before: there is nothing cheaper to be had of it.
                 more = asked.corrected(candidate, self.station) and not (turn and self.repeats)
                 if turn == 0:
-                    before, promise = promise, min(promise, every[levels].objective * _mispredicted(candidate))
+                    before, promise = promise, min(promise, every[levels].objective * candidate.mispredicted)
                     if promise > (1.0 - WORTH) * before:
                         break
                 rounds = ROUNDS + RESCUES if self.best is None else min(ROUNDS, turn + 1 + most - len(self.made))
@@ -170,12 +170,6 @@ class _Exploration:
             point, expected_us = trial
             whole = self.search.look(point.x, levels, limits_of(self.station, 1.0))
             self.measured(whole, best.optimum, best.correction, expected_us)
-
-
-def _mispredicted(candidate: Candidate) -> float:
-    """Measured over predicted objective."""
-    predicted = 0.0 if candidate.found is None else candidate.found.objective
-    return candidate.objective / predicted if predicted > 0.0 else 1.0
 
 
 def _hardly_used(every: Mapping[int, Found], levels: int) -> bool:

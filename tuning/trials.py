@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from hapticlod.station import Station
+from tuning.candidate import COST, Candidate, cost_us
 from tuning.search import Found, Limits
 from tuning.space import Space
 
@@ -24,17 +25,6 @@ LEAST_GAIN = 2e-3  # of the objective: less is expected of no proposal, and tria
 # Noise of ln measured over predicted cost: of one measurement that is always counted, and the least that is believed.
 _PRIOR, _LEAST_NOISE = 0.04, 0.02
 _LIKE = 0.08  # in ln predicted cost: how near others tell of one
-
-
-class Measured(Protocol):
-    """A configuration's point and what was predicted of it, its metrics, and its objective by them."""
-
-    @property
-    def found(self) -> Found | None: ...
-    @property
-    def measured(self) -> dict[str, float]: ...
-    @property
-    def objective(self) -> float: ...
 
 
 class Glances(Protocol):
@@ -49,12 +39,12 @@ class CostError:
     A mean weighted by nearness in ln predicted cost (Nadaraya 1964, Watson 1964).
     """
 
-    def __init__(self, measured: Sequence[Measured]) -> None:
-        both = [(_cost_us(m.found.predicted), _cost_us(m.measured)) for m in measured if m.found is not None]
-        self._at = np.log([told for told, _ in both])
-        self._error = np.log([said for _, said in both]) - self._at
-        off = self._error - [self.mean(told) for told, _ in both]
-        self.spread = max(float(np.sqrt((_PRIOR**2 + np.sum(np.square(off))) / len(both))), _LEAST_NOISE)
+    def __init__(self, measured: Sequence[Candidate]) -> None:
+        told_us = [candidate.predicted[COST] for candidate in measured]
+        self._at = np.log(told_us)
+        self._error = np.log([cost_us(candidate) for candidate in measured]) - self._at
+        off = self._error - [self.mean(told) for told in told_us]
+        self.spread = max(float(np.sqrt((_PRIOR**2 + np.sum(np.square(off))) / len(told_us))), _LEAST_NOISE)
 
     def mean(self, predicted_us: float) -> float:
         """Expected where so much is predicted."""
@@ -64,7 +54,7 @@ class CostError:
 
 
 def next_trial(
-    best: Measured, like: Sequence[Measured], levels: int, search: Glances, space: Space, station: Station,
+    best: Candidate, like: Sequence[Candidate], levels: int, search: Glances, space: Space, station: Station,
     random: np.random.Generator,
 ) -> tuple[Found, float] | None:  # fmt: skip
     """The point near the best that is worth measuring next, and the cost that is expected of it; None: none is.
@@ -78,21 +68,16 @@ def next_trial(
     limits = Limits(station.budget_us, station.memory_mb)
     error = CostError(like)
     proposals = search.glances(space.around(at.x, levels, PROPOSED, random), levels, limits)
-    scale = best.objective / at.objective if at.objective > 0.0 else 1.0
 
     def expected_us(found: Found) -> float:
-        told = _cost_us(found.predicted)
+        told = found.predicted[COST]
         return told * float(np.exp(error.mean(told)))
 
     def gain(found: Found) -> float:
         if not np.isfinite(found.objective) or found.predicted["memory_mb"] > station.memory_mb:
             return 0.0
         chance = float(ndtr(np.log(station.budget_us / expected_us(found)) / error.spread))
-        return max(best.objective - scale * found.objective, 0.0) * chance
+        return max(best.objective - best.mispredicted * found.objective, 0.0) * chance
 
     first = max(proposals, key=gain)
     return (first, expected_us(first)) if gain(first) > LEAST_GAIN * best.objective else None
-
-
-def _cost_us(metrics: dict[str, float]) -> float:
-    return metrics["loop_cost_p999_us"]
