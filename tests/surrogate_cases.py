@@ -77,13 +77,13 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
     )
     cost = CostModel(
         samples=curves(samples),
-        tail_share=curves(np.clip((samples - 10) / 2, 0, 1)),
+        depth=curves(np.clip(samples - 10, 0, 2)),
         switch=curves(entries),
         free_switch=curves(entries - 1.0),
         log_reach=jnp.log(jnp.array([0.2, 2.0])),
         steps=jnp.array([1.2, 3.0]),
         contact=jnp.asarray(random.uniform(0.3, 1.0, BINS)),
-        cells=cell_factors(cell_edges, random.uniform(0, 0.6, (RUNGS, SUBSETS, CELLS, 2))),
+        cells=cell_factors(cell_edges, random.uniform(0, 0.6, (RUNGS, SUBSETS, CELLS, 3))),
         sizes=jnp.asarray(sizes),
         group=jnp.asarray(group),
         spread=jnp.asarray(0.02),

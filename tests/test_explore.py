@@ -54,6 +54,11 @@ def around(x: np.ndarray, count: int, points: int, random: np.random.Generator) 
     return list(x * np.exp([0.1, 0.25] * random.normal(size=(points, 2))))
 
 
+def log_levels(x: np.ndarray, count: int) -> np.ndarray:
+    """What costs more is taken to have more triangles."""
+    return np.log([[x[0]], [1.0], [x[1]]])
+
+
 def explored(
     true_over_predicted: Any,
     counts: tuple[int, ...] = (1,),
@@ -78,7 +83,7 @@ def explored(
 
     search = search or Optimist()
     verifier: Any = SimpleNamespace(measured=measured)
-    ready: Any = SimpleNamespace(space=SimpleNamespace(config=config, around=around))
+    ready: Any = SimpleNamespace(space=SimpleNamespace(config=config, around=around, log_levels=log_levels))
     made = explore(
         search, verifier, ready, station(), counts, 0, lambda *stage: None,  # pyright: ignore[reportArgumentType]
         lambda config, metrics: metrics["felt_error_jnd"], near,

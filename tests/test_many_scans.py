@@ -22,8 +22,8 @@ def searches() -> list[Search]:
     """Two of one shape, and one of another between them."""
     with jax.enable_x64(True):
         first, last = made_measurement(0), made_measurement(1)
-        cut = first.cost.tail_share.nodes[..., :-1], first.cost.samples.nodes[..., :-1], first.cost.sizes[..., :-1]
-        where = lambda m: (m.cost.tail_share.nodes, m.cost.samples.nodes, m.cost.sizes)
+        cut = first.cost.depth.nodes[..., :-1], first.cost.samples.nodes[..., :-1], first.cost.sizes[..., :-1]
+        where = lambda m: (m.cost.depth.nodes, m.cost.samples.nodes, m.cost.sizes)
         other = eqx.tree_at(where, first, cut)
     return [Search(measured, SPACE, 200.0) for measured in (first, other, last)]
 

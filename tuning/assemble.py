@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 
 _FEWEST_ENTRIES = 8
 _TAIL_SHARE = 0.02
-# Quantiles of a level's ticks between which a cost passes from body to tail.
-_TAIL_FROM = (0.9, 0.99)
+# Shares of a level's ticks, dearest first: where the body of its costs begins, and what stands for two percentiles.
+_BODY_FROM, _P99_FROM, _P999_FROM = 0.1, (0.005, 0.02), (0.0004, 0.0025)
 # Costs are counted and have no noise: quantiles are smoothed only as far as slopes need it, in ln cost.
 _SPREAD = 0.03
 # Of a group of windows that share a distribution of costs: its size, and the cut-off of the speed they share.
@@ -49,7 +49,7 @@ class LadderData:
             rung with a short mapping length and with a long one, and with the long one from a rung far away.
         reach_mm: the two mapping lengths. steps: |ln N - ln N'| of a next rung and of one far away.
         cell_rungs: rungs whose other cell sizes were sampled.
-        cell_cost: (S, B, H, 2) mean cost, and mean cost of the dearest ticks, by cell size, at these rungs.
+        cell_cost: (S, B, H, 3) costs by cell size at these rungs: `stages_of_cost`.
         level_bytes: (R,) with the replays' cells; cell_bytes: (S, H).
     """
 
@@ -76,6 +76,19 @@ def dearest_mean(cost: Array) -> float:
     """Mean cost of the dearest fiftieth of the ticks."""
     count = max(1, round(_TAIL_SHARE * len(cost)))
     return float(np.partition(cost, -count)[-count:].mean())
+
+
+def stages_of_cost(cost: Array) -> Array:
+    """(3,) of the costs (T,) of ticks: their body, about their 99th and about their 99.9th percentile.
+
+    The body is a mean, the others geometric means of a few ranks, where a quantile is one chance tick.
+    """
+    ticks = len(cost)
+    dearest = -np.sort(-cost)
+    body = dearest[round(_BODY_FROM * ticks) :].mean()
+    spans = [(int(first * ticks), int(last * ticks)) for first, last in (_P99_FROM, _P999_FROM)]
+    tail = [np.exp(np.log(np.maximum(dearest[a : max(b, a + 1)], 1.0)).mean()) for a, b in spans]
+    return np.array([body, *tail])
 
 
 def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderMeasurement:
@@ -183,14 +196,15 @@ def _cost_model(data: LadderData, curves) -> CostModel:
     group = cost_groups(data.velocity_mm_s, clock)
     counted, sizes = group_samples(data.cost_ns, group)
     samples = np.log(np.maximum(counted, 1.0))
-    # A sample belongs to its level's body or to its tail by where it lies among all of the level's ticks.
-    body, tail = np.log(np.maximum(np.quantile(data.cost_ns, _TAIL_FROM, axis=2), 1.0))[..., None, None]
-    share = np.clip((samples - body) / np.maximum(tail - body, 1e-3), 0.0, 1.0)
+    # How deep in its level's tail a sample lies: by where it is among all of the level's ticks.
+    knots = np.log(np.maximum(np.quantile(data.cost_ns, (1.0 - _BODY_FROM, 0.99, 0.999), axis=2), 1.0))[..., None, None]
+    passed = np.clip((samples - knots[:-1]) / np.maximum(np.diff(knots, axis=0), 1e-3), 0.0, 1.0)
+    depth = passed[0] + passed[1]
     cost = np.maximum(data.cell_cost, 1.0)
     factors = np.log(cost / cost[:, :, data.grid.base_cell : data.grid.base_cell + 1])
     return CostModel(
         samples=curves(samples),
-        tail_share=curves(share),
+        depth=curves(depth),
         switch=curves(np.log(np.maximum(data.switch_ns, 1.0))),
         free_switch=curves(np.log(np.maximum(data.free_switch_ns, 1.0))),
         log_reach=jnp.log(jnp.array(data.reach_mm)),
@@ -253,6 +267,6 @@ def _cell_bytes(data: LadderData) -> Array:
 
 
 def cell_rungs(grid: Grid, most_triangles: int = 300_000) -> Sequence[int]:
-    """Rungs whose other cell sizes are sampled: every third that is not too large to build five times."""
+    """Rungs whose other cell sizes are sampled: every second that is not too large to build five times."""
     small = [r for r, count in enumerate(grid.triangles) if count <= most_triangles] or [len(grid.triangles) - 1]
-    return small[::3]
+    return small[::2]

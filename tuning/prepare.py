@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import jax
@@ -13,7 +12,7 @@ import numpy as np
 
 from hapticlod.errors import InputError
 from hapticlod.ladder import Ladder
-from hapticlod.motion import MODES, Motion, synthesise
+from hapticlod.motion import MODES, Motion
 from hapticlod.perception import Perception, load_perception
 from hapticlod.scan import Scan
 from hapticlod.scene_ladder import ladder_of
@@ -25,6 +24,7 @@ from tuning.assemble import LadderData, assemble
 from tuning.calibrate import counted_cost_ns
 from tuning.costing import Costing
 from tuning.grid import Grid, make_clock, make_grid
+from tuning.make_hands import Hand, make_hands
 from tuning.recordings import seen_and_apart
 from tuning.replays import MOST_RUNTIME_LEVELS, Bench, replay_fixed
 from tuning.sample import sample_ladder, threads
@@ -188,19 +188,11 @@ def _made(
 ) -> tuple[list[Motion], list[Motion], float]:
     """Strokes of all modes, `hands` times as long as this tool lets replays be; and how much shows switches, s."""
 
-    def stroke(task: tuple[int, float]) -> Motion:
-        number, seconds = task
-        return synthesise(
-            scan, MODES[number % len(MODES)], seconds=seconds, loop_hz=station.loop_hz, seed=1000 * seed + number,
-            tool=tool, stiffness_n_mm=station.stiffness_n_mm, max_force_n=station.max_force_n,
-            encoder_mm=station.encoder_mm,
-        )  # fmt: skip
-
-    def strokes(first: int, seconds: float) -> list[tuple[int, float]]:
-        return [(first + mode, seconds) for mode in range(len(MODES))]
+    def strokes(first: int, seconds: float) -> list[Hand]:
+        return [Hand(mode, seconds, 1000 * seed + first + i) for i, mode in enumerate(MODES)]
 
     # Of one second of each mode, by its counters: a busy machine must not shorten the motions.
-    pilot = [stroke(task) for task in strokes(900, 1.0)]
+    pilot = make_hands(scan, station, tool, strokes(900, 1.0), 1)
     rungs, subsets = bench.grid.shape
     spent_s: list[float] = []
     for rung in (0, rungs // 2):
@@ -214,8 +206,7 @@ def _made(
     seen_s = hands * _seconds(SEEN_S, (made_s + mean_s * rungs * subsets) / threads(), SEEN_REPLAY_S)
     apart_s = hands * _seconds(APART_S, (made_s + spent_s[0]) / threads(), APART_REPLAY_S)
     switch_s = _seconds(SWITCH_S, mean_s * legs * _SWITCHED / threads(), SWITCH_REPLAY_S)
-    with ThreadPoolExecutor(threads()) as pool:
-        made = list(pool.map(stroke, strokes(0, seen_s) + strokes(500, apart_s)))
+    made = make_hands(scan, station, tool, strokes(0, seen_s) + strokes(500, apart_s), threads())
     return made[: len(MODES)], made[len(MODES) :], switch_s
 
 

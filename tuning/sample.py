@@ -14,7 +14,7 @@ from hapticlod.errors import InputError
 from hapticlod.motion import Motion
 from hapticlod.perception import Perception
 from hapticlod.surrogate.cost import SWITCH_SHARES
-from tuning.assemble import LadderData, cell_rungs, dearest_mean, entry_costs
+from tuning.assemble import LadderData, cell_rungs, entry_costs, stages_of_cost
 from tuning.calibrate import calibrate
 from tuning.costing import Costing
 from tuning.grid import Clock
@@ -22,16 +22,12 @@ from tuning.level_fields import level_fields, make_reference
 from tuning.relay import leaps, mean_step, relay_ladder
 from tuning.replays import Bench, replay_fixed, tour_ladder
 from tuning.timing import counters_only, curve_of, prices_of_levels, time_ticks
-from tuning.windows import SETTLING_TICKS, dearest, middle
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 # Mapping lengths that switches are priced with, in the tour's.
 _REACHES = (0.5, 4.0)
-# Ticks per motion on which other cell sizes are tried: usual ones, from its middle, and as many about its dearest ones,
-# which make the tail.
-_CELL_TICKS = 240
 
 
 def threads() -> int:
@@ -109,15 +105,13 @@ def sample_ladder(
     ]  # fmt: skip
     entered = [(place, rows) for entries, _ in relays for place, rows in entries.items() if len(rows)]
     chosen = tuple(cell_rungs(grid))
-    usual = [middle(motion, SETTLING_TICKS + _CELL_TICKS) for motion in part]
-    dear = [dearest(motion, rows, SETTLING_TICKS + _CELL_TICKS) for motion, rows in zip(whole, first, strict=True)]
-    swept, cell_bytes = _sweep_cells(bench, levels, chosen, usual, dear, progress)
+    swept, cell_bytes = _sweep_cells(bench, levels, chosen, whole, progress)
 
     # Prices of cells and triangles show where cell sizes differ, those of mappings where levels are entered.
     progress("time ticks", 0.0)
-    timed_levels, timed = time_ticks(bench, levels, chosen, whole, first)
+    timed_levels, timed = time_ticks(bench, levels, chosen[::2], whole, first)
     staying = [(rows, int(level_bytes[r]), grid.balls[b]) for (r, b), rows in kept.items()]
-    once = [(rows, int(cell_bytes[s, h]), grid.balls[b]) for (s, b, h), both in swept.items() for rows in both]
+    once = [(rows, int(cell_bytes[s, h]), grid.balls[b]) for (s, b, h), rows in swept.items()]
     entering = [(counters_only(rows), int(level_bytes[r]), grid.balls[b]) for (r, b), rows in entered]
     every = [*timed, *staying, *once, *entering]
     here = calibrate(
@@ -147,7 +141,8 @@ def sample_ladder(
         reference=reference, tour=tour,
         switch_ns=switch[0], free_switch_ns=switch[1], reach_mm=reach_mm,
         steps=(mean_step(range(rungs), grid.triangles), mean_step(leaps(rungs), grid.triangles)), cell_rungs=chosen,
-        cell_cost=_cell_cost(bench, chosen, swept, cell_bytes, costing), level_bytes=level_bytes, cell_bytes=cell_bytes,
+        cell_cost=_cell_cost(bench, chosen, kept, swept, cell_bytes, costing), level_bytes=level_bytes,
+        cell_bytes=cell_bytes,
     )  # fmt: skip
     return data, costing
 
@@ -157,15 +152,17 @@ def _velocity_mm_s(motions: Sequence[Motion]) -> Array:
     return np.concatenate([np.diff(at, axis=0, prepend=at[:1]) for at in places]) * motions[0].loop_hz
 
 
-# Rows of one cell size: of the usual ticks, and of the dearest.
-_Swept = dict[tuple[int, int, int], tuple[NDArray, NDArray]]
+# Rows by (place in `chosen`, subset, cell size).
+_Swept = dict[tuple[int, int, int], NDArray]
 
 
 def _sweep_cells(
-    bench: Bench, levels: Sequence, chosen: Sequence[int], usual: Sequence[Motion], dear: Sequence[Motion],
-    progress: Progress,
-) -> tuple[_Swept, Array]:  # fmt: skip
-    """Rows by (place in `chosen`, subset, cell size), and bytes (S, H)."""
+    bench: Bench, levels: Sequence, chosen: Sequence[int], motions: Sequence[Motion], progress: Progress
+) -> tuple[_Swept, Array]:
+    """Rows of all other cell sizes than the replays', and bytes (S, H).
+
+    Over whole motions: what is dear with one cell size is not with another, and the tail rests on single ticks.
+    """
     grid = bench.grid
     size = np.zeros((len(chosen), len(grid.cell_edges)))
     swept: _Swept = {}
@@ -175,12 +172,10 @@ def _sweep_cells(
         rung = chosen[s]
         level = levels[rung] if h == grid.base_cell else bench.level(rung, h)
         size[s, h] = level.bytes
-        for b, balls in enumerate(grid.balls):
-            made = [
-                counters_only(np.concatenate([row[SETTLING_TICKS:] for row in replayed]))
-                for replayed in (replay_fixed(bench, level, rung, balls, m, 1, h) for m in (usual, dear))
-            ]
-            swept[s, b, h] = made[0], made[1]
+        if h != grid.base_cell:
+            for b, balls in enumerate(grid.balls):
+                replayed = replay_fixed(bench, level, rung, balls, motions, 1, h)
+                swept[s, b, h] = counters_only(np.concatenate(replayed))
 
     tasks = [(s, h) for s in range(len(chosen)) for h in range(len(grid.cell_edges))]
     progress("try cell sizes", 0.0)
@@ -190,15 +185,15 @@ def _sweep_cells(
     return {place: swept[place] for place in sorted(swept)}, size
 
 
-def _cell_cost(bench: Bench, chosen: Sequence[int], swept: _Swept, cell_bytes: Array, costing: Costing) -> Array:
-    """(S, B, H, 2) mean cost of the usual ticks and that of the dearest, by what they counted.
-
-    Cell sizes differ by tenths; a short part timed once shows what else the machine did meanwhile.
-    """
-    grid, balls = bench.grid, bench.grid.balls
-    cost = np.zeros((cell_bytes.shape[0], len(balls), cell_bytes.shape[1], 2))
-    for (s, b, h), both in swept.items():
+def _cell_cost(
+    bench: Bench, chosen: Sequence[int], kept: dict[tuple[int, int], NDArray], swept: _Swept, cell_bytes: Array,
+    costing: Costing,
+) -> Array:  # fmt: skip
+    """(S, B, H, 3) by what was counted: cell sizes differ by tenths, and times show what else the machine did."""
+    grid = bench.grid
+    cost = np.zeros((len(chosen), len(grid.balls), len(grid.cell_edges), 3))
+    for s, b, h in np.ndindex(cost.shape[:3]):
+        rows = kept[chosen[s], b] if h == grid.base_cell else swept[s, b, h]
         factor = costing.levels.factor(grid.triangles[chosen[s]], grid.cell_mm(chosen[s], h))
-        usual, dear = (costing.counted_ns(rows, int(cell_bytes[s, h]), balls[b], None, factor) for rows in both)
-        cost[s, b, h] = usual.mean(), dearest_mean(dear)
+        cost[s, b, h] = stages_of_cost(costing.counted_ns(rows, int(cell_bytes[s, h]), grid.balls[b], None, factor))
     return cost

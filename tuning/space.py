@@ -116,6 +116,11 @@ class Space:
         low, high = self.log_bounds
         return split(low + np.asarray(x, dtype=np.float64) * (high - low), self.most_levels)
 
+    def log_levels(self, x: NDArray, levels: int) -> NDArray:
+        """(3, levels) ln triangles, balls and cells of the levels that are used."""
+        part = self._split(x)
+        return np.array([part[name][:levels] for name in ("triangles", "balls", "cells")])
+
     def order_rows(self, levels: int) -> tuple[NDArray, NDArray]:
         """(A, b) of A x <= b: triangles and balls fall, speeds rise. Rows of unused levels are 0 <= 1."""
         k, rows, limits = self.most_levels, [], []

@@ -40,8 +40,8 @@ def roll(
     path is shorter where the ball is wedged, and a single place where it cannot move at all.
     """
     step_mm = min(step_mm, _STEP_OF_RADIUS * radius_mm)
-    centre, clear = _seated(surface, np.array(start_mm), radius_mm)
-    near, normal = _contact(surface, centre)
+    centre, distance, near = _seated(surface, np.array(start_mm), radius_mm)
+    clear, normal = distance[0], _normal(surface, centre, distance, near)
     direction = on_plane(direction, normal)
     points, walked = [centre], [0.0]
     held = turns = 0
@@ -53,45 +53,45 @@ def roll(
         angle = turn_rad(walked[-1])
         if angle != 0.0:
             direction = np.cos(angle) * direction + np.sin(angle) * cross(normal, direction)
-        ahead, its_clear = _seated(surface, centre + step_mm * direction, radius_mm)
+        ahead, distance, its_near = _seated(surface, centre + step_mm * direction, radius_mm)
         moved = ahead - centre
         length = float(np.sqrt(moved @ moved))
         held = held + 1 if length < _HELD * step_mm else 0
-        if its_clear < min(SEATED * radius_mm, clear) or held > _HELD_STEPS:  # it fits no further
+        if distance[0] < min(SEATED * radius_mm, clear) or held > _HELD_STEPS:  # it fits no further
             direction, held = on_plane(turned_back(direction, normal), normal), 0
             turns += 1
             continue
-        centre, clear, turns = ahead, its_clear, 0
+        centre, clear, near, turns = ahead, distance[0], its_near, 0
         points.append(centre)
         walked.append(walked[-1] + length)
-        before = normal
-        near, normal = _contact(surface, centre)
+        before, normal = normal, _normal(surface, centre, distance, near)
         direction = _carried(direction, before, normal)
         direction = steered(surface, near, direction, normal, crest)
     return Path(np.array(points), np.array(walked))
 
 
-def _seated(surface: Surface, centre: Array, radius_mm: float) -> tuple[Array, float]:
-    """`centre` (3,) moved straight from or to the nearest place of the surface until the ball rests; its clearance."""
-    tree, cloud = surface.tree, surface.points_mm
-    distance = 0.0
+def _seated(surface: Surface, centre: Array, radius_mm: float) -> tuple[Array, Array, NDArray[np.intp]]:
+    """`centre` (3,) moved straight from or to the nearest place of the surface until the ball rests.
+
+    Also the distances from there to the nearest points of the surface, increasing, and these points, by index.
+    """
+    cloud = surface.points_mm
+    distance, near = surface.nearest(centre, NEIGHBOURS)
     for _ in range(_SEATINGS):
-        distance, nearest = tree.query(centre)
-        if abs(distance - radius_mm) <= 0.5 * (1.0 - SEATED) * radius_mm or distance == 0.0:
+        if abs(distance[0] - radius_mm) <= 0.5 * (1.0 - SEATED) * radius_mm or distance[0] == 0.0:
             break
-        centre = cloud[nearest] + (radius_mm / distance) * (centre - cloud[nearest])
-    return centre, float(distance)
+        centre = cloud[near[0]] + (radius_mm / distance[0]) * (centre - cloud[near[0]])
+        distance, near = surface.nearest(centre, NEIGHBOURS)
+    return centre, distance, near
 
 
-def _contact(surface: Surface, centre: Array) -> tuple[NDArray[np.intp], Array]:
-    """The nearest points of the surface, by index, and the direction (3,) from them to the centre."""
-    distance, near = surface.tree.query(centre, k=min(NEIGHBOURS, len(surface.points_mm)))
-    distance, near = np.atleast_1d(distance), np.atleast_1d(near)
+def _normal(surface: Surface, centre: Array, distance: Array, near: NDArray[np.intp]) -> Array:
+    """The direction (3,) from the nearest points of the surface, so far away, to the centre."""
     away = (centre - surface.points_mm[near]) / np.maximum(distance, 1e-12)[:, None]
     weight = np.exp((distance[0] ** 2 - np.square(distance)) / surface.spacing_mm**2)
     blended = weight @ away
     size = np.sqrt(blended @ blended)
-    return near, blended / size if size > 1e-6 else away[0]
+    return blended / size if size > 1e-6 else away[0]
 
 
 def _carried(direction: Array, before: Array, after: Array) -> Array:

@@ -76,8 +76,7 @@ def walk(
     points = [np.array(start_mm)]
     walked = [0.0]
     place, normal = np.array(start_mm), _normal_at(surface, start_mm)
-    tree, cloud, normals = surface.tree, surface.points_mm, surface.normals
-    neighbours = min(NEIGHBOURS, len(cloud))
+    cloud, normals = surface.points_mm, surface.normals
     reach = 2.5 * surface.spacing_mm + step_mm
     most_steps = int(3 * length_mm / step_mm) + 100
     for _ in range(most_steps):
@@ -87,8 +86,7 @@ def walk(
         if angle != 0.0:
             direction = np.cos(angle) * direction + np.sin(angle) * cross(normal, direction)
         ahead = place + step_mm * direction
-        distance, near = tree.query(ahead, k=neighbours)
-        distance, near = np.atleast_1d(distance), np.atleast_1d(near)
+        distance, near = surface.nearest(ahead, NEIGHBOURS)
         if distance[0] > reach:  # over an edge with nothing beyond: turn on the spot
             direction = turned_back(direction, normal)
             place = cloud[near[0]]
@@ -99,7 +97,7 @@ def walk(
         weight = np.exp(-np.square(distance / (1.5 * surface.spacing_mm))) * (seen @ normal > -0.3)
         total = weight.sum()
         if total < 1e-12:  # only the far side of a wall is near: go round it
-            weight, total = np.ones(neighbours), float(neighbours)
+            weight, total = np.ones(len(near)), float(len(near))
         weight /= total
         blended = weight @ seen
         size = np.sqrt(blended @ blended)

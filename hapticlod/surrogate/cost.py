@@ -75,21 +75,21 @@ class CellFactors(eqx.Module):
     """How cost changes with the cell size, relative to the cells that the ladder was replayed with.
 
     - `log_edges`: (H,) ln of cell size in mean edges, increasing.
-    - `nodes`: (2, H, R, B, 2) values and slopes of the ln factor on a rung's mean cost [..., 0] and on that of its
-      dearest ticks [..., 1].
+    - `nodes`: (2, H, R, B, 3) values and slopes of the ln factor on the body of a rung's costs [..., 0], at its 99th
+      [..., 1] and at its 99.9th percentile [..., 2].
     """
 
     log_edges: Float[Array, " H"]
-    nodes: Float[Array, "2 H R B 2"]
+    nodes: Float[Array, "2 H R B 3"]
 
-    def levels(self, places: Places, log_cell_edges: Float[Array, " K"]) -> Float[Array, "K 2"]:
+    def levels(self, places: Places, log_cell_edges: Float[Array, " K"]) -> Float[Array, "K 3"]:
         """ln factors of each level."""
         along = cubic_weights(self.log_edges, log_cell_edges)
         return jnp.einsum("kvh,krb,vhrbt->kt", along, places.linear, self.nodes)
 
 
 def cell_factors(cell_edges: NDArray, factors: NDArray) -> CellFactors:
-    """From ln factors of shape (R, B, H, 2) at `cell_edges` (H,), increasing."""
+    """From ln factors of shape (R, B, H, 3) at `cell_edges` (H,), increasing."""
     log_edges, values = np.log(cell_edges), np.moveaxis(factors, 2, 0)
     nodes = np.stack([values, pchip_slopes(log_edges, values)])
     return CellFactors(jnp.asarray(log_edges), jnp.asarray(nodes))
@@ -100,7 +100,8 @@ class CostModel(eqx.Module):
 
     - `samples`: ln ns, trailing shape (groups, samples), dearest first within a group.
     - `group`: (windows,) the group of each window.
-    - `tail_share`: trailing shape as `samples`: 0 where a sample belongs to its rung's body, 1 in its tail.
+    - `depth`: trailing shape as `samples`: how far a sample lies in its rung's tail. 0 is the body, 1 the 99th and 2
+      the 99.9th percentile.
     - `switch`: ln ns of ticks that change the level in contact, by the level entered, trailing shape (M, 3): one sample
       for each of `SWITCH_SHARES`; from a next rung at either of two mapping lengths, and at the longer one from a rung
       far away. `log_reach`: (2,) ln of these lengths, mm. `steps`: (2,) |ln N - ln N'| of a next and of a far rung.
@@ -112,7 +113,7 @@ class CostModel(eqx.Module):
     """
 
     samples: LadderCurves
-    tail_share: LadderCurves
+    depth: LadderCurves
     switch: LadderCurves
     free_switch: LadderCurves
     log_reach: Float[Array, " 2"]
@@ -159,10 +160,11 @@ def tick_costs(
 
     `log_reach` is ln of the longer mapping length, `log_triangles` of the levels' sizes.
     """
-    share = jnp.clip(model.tail_share.levels(places), 0.0, 1.0)
+    depth = model.depth.levels(places)
     factors = model.cells.levels(places, log_cell_edges)
-    body, tail = factors[:, 0, None, None], factors[:, 1, None, None]
-    log_ns = model.samples.levels(places) + body + share * (tail - body)
+    body, p99, p999 = factors.T[:, :, None, None]
+    of_cells = body + jnp.clip(depth, 0.0, 1.0) * (p99 - body) + jnp.clip(depth - 1.0, 0.0, 1.0) * (p999 - p99)
+    log_ns = model.samples.levels(places) + of_cells
     levels, groups = log_ns.shape[:2]
     weights = jnp.mean(switching.weights.reshape(levels, model.group.shape[0], -1), axis=2)
     summed = jax.ops.segment_sum(weights.T, model.group, groups).T
@@ -178,7 +180,7 @@ def tick_costs(
     for curves, share_of in ((model.switch, model.contact), (model.free_switch, 1 - model.contact)):
         events = curves.levels(places)  # (K, M, 3)
         for entered, flow in ((slice(1, None), switching.up), (slice(None, -1), switching.down)):
-            cost = jnp.einsum("jmx,xj->jm", events[entered], mix) + factors[entered, 1:]
+            cost = jnp.einsum("jmx,xj->jm", events[entered], mix) + factors[entered, 1:2]
             parts.append(cost.reshape(-1))
             happened = jnp.sum(flow * share_of, axis=1)
             counts.append((happened[:, None] * jnp.array(SWITCH_SHARES, dtype=flow.dtype)).reshape(-1))
