@@ -205,7 +205,7 @@ def _made(
     legs = -(-rungs * subsets // MOST_RUNTIME_LEVELS)
     seen_s = hands * _seconds(SEEN_S, (made_s + mean_s * rungs * subsets) / threads(), SEEN_REPLAY_S)
     apart_s = hands * _seconds(APART_S, (made_s + spent_s[0]) / threads(), APART_REPLAY_S)
-    switch_s = _seconds(SWITCH_S, mean_s * legs * _SWITCHED / threads(), SWITCH_REPLAY_S)
+    switch_s = hands * _seconds(SWITCH_S, mean_s * legs * _SWITCHED / threads(), SWITCH_REPLAY_S)
     made = make_hands(scan, station, tool, strokes(0, seen_s) + strokes(500, apart_s), threads())
     return made[: len(MODES)], made[len(MODES) :], switch_s
 

@@ -166,11 +166,12 @@ def _borne(surface: Surface, centre: Array, normal: Array, depth: Array, radius_
     """`depth` (T,) made less where the body is thin or the surface is a crest.
 
     A HIP that swings deep below a crest would leave its contact point behind on the near flank: no hand does that,
-    for it would have to push through the crest.
+    for it would have to push through the crest. What a ball's centre goes round is the crest widened by the ball: with
+    the HIP as deep as the ball is thick, on the crest itself, the least motion sends the contact point all round it.
     """
-    wanted = np.maximum(depth - radius_mm, 0.0) / _BEARING_SHARE
+    wanted = np.maximum(depth / _BEARING_SHARE - radius_mm, 0.0)
     bearing = _least_near(surface, centre - radius_mm * normal, normal, wanted)
-    return np.minimum(depth, radius_mm + _BEARING_SHARE * bearing)
+    return np.minimum(depth, _BEARING_SHARE * (radius_mm + bearing))
 
 
 def round_crests(centre: Array, normal: Array, depth: Array, stiffness_n_mm: float) -> Array:
