@@ -20,6 +20,13 @@ def sphere(radius_mm: float = 50.0, subdivisions: int = 5) -> Mesh:
     return Mesh(vertices=np.array(made.vertices), faces=np.array(made.faces))
 
 
+def cube(side_mm: float, edge_mm: float) -> Mesh:
+    import trimesh
+
+    made = trimesh.creation.box((side_mm, side_mm, side_mm)).subdivide_to_size(edge_mm)
+    return Mesh(vertices=np.array(made.vertices), faces=np.array(made.faces))
+
+
 def plate(side_mm: float = 100.0, cells: int = 50) -> Mesh:
     """A flat open square in z = 0 that faces +z."""
     along = np.linspace(-side_mm / 2, side_mm / 2, cells + 1)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motion_shapes import Mesh, plate, sphere
+from motion_shapes import Mesh, cube, plate, sphere
 
 from hapticlod.errors import InputError
 from hapticlod.motion import MODES, load_motion, save_motion, synthesise
@@ -13,6 +13,7 @@ from hapticlod.motion.hand import round_crests, shaft_orientation
 from hapticlod.motion.strokes import (
     BASE_HZ,
     STROKES,
+    Mode,
     draw_strokes,
     slow_noise,
     spread_normals,
@@ -221,6 +222,16 @@ def test_bearing_is_the_distance_to_the_medial_axis(ball_mesh: Mesh) -> None:
     outward = places / np.linalg.norm(places, axis=1, keepdims=True)
     deep = Surface(sphere(2.0)).bearing_mm(2.0 * outward, outward, np.full(50, 5.0))
     np.testing.assert_allclose(deep, 2.0, rtol=0.08)
+
+
+@pytest.mark.parametrize("mode", ["trace", "scan", "transfer"])
+def test_a_pressed_ball_goes_round_an_edge_well_off_it(mode: Mode) -> None:
+    """With the HIP on the edge itself, as deep as the ball is thick, the contact point may be anywhere round it."""
+    motion = synthesise(cube(16.0, 0.8), mode, seconds=6.0, loop_hz=1000.0, seed=0, tool=ball(1.0), force_n=1.5)
+    out_mm = np.maximum(np.abs(motion.position_mm) - 8.0, 0.0)
+    at_edge = np.count_nonzero(out_mm, axis=1) >= 2
+    assert at_edge.sum() > 100
+    assert np.linalg.norm(out_mm[at_edge], axis=1).min() > 0.3
 
 
 def test_hip_stays_on_its_side_of_a_thin_body() -> None:
