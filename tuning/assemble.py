@@ -266,7 +266,7 @@ def _cell_bytes(data: LadderData) -> Array:
     return _along_rungs(data, np.log(data.cell_bytes / base))
 
 
-def cell_rungs(grid: Grid, most_triangles: int = 300_000) -> Sequence[int]:
-    """Rungs whose other cell sizes are sampled: every second that is not too large to build five times."""
+def cell_rungs(grid: Grid, every: int, most_triangles: int = 300_000) -> Sequence[int]:
+    """Rungs whose other cell sizes are sampled: every so-manieth that is not too large to build five times."""
     small = [r for r, count in enumerate(grid.triangles) if count <= most_triangles] or [len(grid.triangles) - 1]
-    return small[::2]
+    return small[::every]

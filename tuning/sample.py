@@ -28,6 +28,8 @@ Progress = Callable[[str, float], None]
 
 # Mapping lengths that switches are priced with, in the tour's.
 _REACHES = (0.5, 4.0)
+# Every so-manieth rung is replayed with other cells, with all subsets of a shaped tool, and is timed with them.
+_SWEPT, _SWEPT_SHAPED, _TIMED = 2, 3, 4
 
 
 def threads() -> int:
@@ -104,12 +106,12 @@ def sample_ladder(
         for i, (reach, leaping) in enumerate(kinds)
     ]  # fmt: skip
     entered = [(place, rows) for entries, _ in relays for place, rows in entries.items() if len(rows)]
-    chosen = tuple(cell_rungs(grid))
+    chosen = tuple(cell_rungs(grid, _SWEPT if subsets == 1 else _SWEPT_SHAPED))
     swept, cell_bytes = _sweep_cells(bench, levels, chosen, whole, progress)
 
     # Prices of cells and triangles show where cell sizes differ, those of mappings where levels are entered.
     progress("time ticks", 0.0)
-    timed_levels, timed = time_ticks(bench, levels, chosen[::2], whole, first)
+    timed_levels, timed = time_ticks(bench, levels, cell_rungs(grid, _TIMED), whole, first)
     staying = [(rows, int(level_bytes[r]), grid.balls[b]) for (r, b), rows in kept.items()]
     once = [(rows, int(cell_bytes[s, h]), grid.balls[b]) for (s, b, h), rows in swept.items()]
     entering = [(counters_only(rows), int(level_bytes[r]), grid.balls[b]) for (r, b), rows in entered]
