@@ -21,9 +21,8 @@ from tuning.split_traps import split_traps
 Array = NDArray[np.float64]
 
 _FEWEST_ENTRIES = 8
-_TAIL_SHARE = 0.02
 # Shares of a level's ticks, dearest first: where the body of its costs begins, and what stands for two percentiles.
-_BODY_FROM, _P99_FROM, _P999_FROM = 0.1, (0.005, 0.02), (0.0004, 0.0025)
+_BODY_FROM, _P99_SPAN, _P999_SPAN = 0.1, (0.005, 0.02), (0.0004, 0.0025)
 # Costs are counted and have no noise: quantiles are smoothed only as far as slopes need it, in ln cost.
 _SPREAD = 0.03
 # Of a group of windows that share a distribution of costs: its size, and the cut-off of the speed they share.
@@ -72,12 +71,6 @@ class LadderData:
     cell_bytes: Array
 
 
-def dearest_mean(cost: Array) -> float:
-    """Mean cost of the dearest fiftieth of the ticks."""
-    count = max(1, round(_TAIL_SHARE * len(cost)))
-    return float(np.partition(cost, -count)[-count:].mean())
-
-
 def stages_of_cost(cost: Array) -> Array:
     """(3,) of the costs (T,) of ticks: their body, about their 99th and about their 99.9th percentile.
 
@@ -86,7 +79,7 @@ def stages_of_cost(cost: Array) -> Array:
     ticks = len(cost)
     dearest = -np.sort(-cost)
     body = dearest[round(_BODY_FROM * ticks) :].mean()
-    spans = [(int(first * ticks), int(last * ticks)) for first, last in (_P99_FROM, _P999_FROM)]
+    spans = [(int(first * ticks), int(last * ticks)) for first, last in (_P99_SPAN, _P999_SPAN)]
     tail = [np.exp(np.log(np.maximum(dearest[a : max(b, a + 1)], 1.0)).mean()) for a, b in spans]
     return np.array([body, *tail])
 

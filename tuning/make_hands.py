@@ -58,10 +58,12 @@ def make_hands(scan: ScanLike, station: Station, tool: Tool, hands: Sequence[Han
     made: dict[int, Motion] = {}
     with TemporaryDirectory() as folder:
         files = [Path(folder) / str(i) for i in range(len(others))]
+        if others:
+            _shared(files[0]).write_bytes(pickle.dumps((known, station, tool)))
         running: list[subprocess.Popen[bytes] | None] = []
         try:
             for file, share in zip(files, others, strict=True):
-                file.write_bytes(pickle.dumps((known, station, tool, [hands[i] for i in share])))
+                file.write_bytes(pickle.dumps([hands[i] for i in share]))
                 running.append(_started(file))
             made |= {i: _made(scan, station, tool, hands[i]) for i in ours}
             for file, share, process in zip(files, others, running, strict=True):
@@ -89,6 +91,11 @@ def _started(file: Path) -> subprocess.Popen[bytes] | None:
         return None
 
 
+def _shared(file: Path) -> Path:
+    """What all processes of a folder are told."""
+    return file.with_name("shared")
+
+
 def _answer(file: Path) -> Path:
     return file.with_suffix(".made")
 
@@ -113,7 +120,8 @@ def _shares(hands: Sequence[Hand], count: int) -> list[list[int]]:
 def main() -> None:
     """A further process: the file that is named tells what to make."""
     file = Path(sys.argv[1])
-    scan, station, tool, hands = pickle.loads(file.read_bytes())
+    scan, station, tool = pickle.loads(_shared(file).read_bytes())
+    hands = pickle.loads(file.read_bytes())
     _answer(file).write_bytes(pickle.dumps([_made(scan, station, tool, hand) for hand in hands]))
 
 

@@ -167,19 +167,18 @@ def _sweep_cells(
     """
     grid = bench.grid
     size = np.zeros((len(chosen), len(grid.cell_edges)))
+    size[:, grid.base_cell] = [levels[rung].bytes for rung in chosen]
     swept: _Swept = {}
 
     def one(task: tuple[int, int]) -> None:
         s, h = task
-        rung = chosen[s]
-        level = levels[rung] if h == grid.base_cell else bench.level(rung, h)
+        level = bench.level(chosen[s], h)
         size[s, h] = level.bytes
-        if h != grid.base_cell:
-            for b, balls in enumerate(grid.balls):
-                replayed = replay_fixed(bench, level, rung, balls, motions, 1, h)
-                swept[s, b, h] = counters_only(np.concatenate(replayed))
+        for b, balls in enumerate(grid.balls):
+            replayed = replay_fixed(bench, level, chosen[s], balls, motions, 1, h)
+            swept[s, b, h] = counters_only(np.concatenate(replayed))
 
-    tasks = [(s, h) for s in range(len(chosen)) for h in range(len(grid.cell_edges))]
+    tasks = [(s, h) for s in range(len(chosen)) for h in range(len(grid.cell_edges)) if h != grid.base_cell]
     progress("try cell sizes", 0.0)
     with ThreadPoolExecutor(threads()) as pool:
         for count, _ in enumerate(pool.map(one, tasks), 1):

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from hapticlod.motion import Motion
 from hapticlod.station import CostCoefficients
-from tuning.assemble import dearest_mean
 from tuning.calibrate import PriceCurve, counted_cost_ns, price_curve, without_interrupts
 from tuning.costing import Costing
 from tuning.grid import Grid
@@ -21,6 +20,7 @@ from tuning.windows import SETTLING_TICKS, dearest, middle
 # So many ticks from the middle of each motion and as many about its dearest, of which a tick's time is its least over
 # passes that lie seconds apart: other programs, and whatever else slows a machine, come in bursts.
 TIMED_TICKS, _FEWEST_PASSES, _MOST_PASSES, _TIMED_S = 120, 3, 8, 3.0
+_TAIL_SHARE = 0.02  # of these ticks decide what a level is priced at
 
 
 # Rows of one level, and its bytes and balls.
@@ -84,5 +84,12 @@ def prices_of_levels(
         counted_ns = counted_cost_ns(rows, size, costing.here, balls)
         counted_ns *= costing.curve.factor(counted_ns)
         time_ns = without_interrupts(rows, counted_ns)
-        made.append(TimedLevel(grid.triangles[r], grid.cell_edges[h], dearest_mean(time_ns), dearest_mean(counted_ns)))
+        made.append(
+            TimedLevel(grid.triangles[r], grid.cell_edges[h], _dearest_mean(time_ns), _dearest_mean(counted_ns))
+        )
     return level_prices(made, grid.triangles, grid.edge_mm)
+
+
+def _dearest_mean(cost: NDArray[np.float64]) -> float:
+    count = max(1, round(_TAIL_SHARE * len(cost)))
+    return float(np.partition(cost, -count)[-count:].mean())

@@ -19,6 +19,7 @@ from scipy.special import ndtr
 from hapticlod.station import Station
 from tuning.candidate import COST, Candidate, cost_us
 from tuning.search import Found, Limits
+from tuning.space import Space
 
 PROPOSED = 48  # points near the best that the surrogate looks at before each trial
 LEAST_GAIN = 2e-3  # of the objective: less is expected of no proposal, and trials end
@@ -29,15 +30,6 @@ _VARIES, _COUNTS = 0.05, 2
 _TREMBLES = 0.05
 _REACH = np.array([0.3, 0.5, 0.6])
 _NEAR = 0.3  # in ln predicted cost: what is further from the best tells nothing of it
-
-
-class Levers(Protocol):
-    """What a space offers."""
-
-    def around(
-        self, x: NDArray[np.float64], levels: int, count: int, random: np.random.Generator
-    ) -> list[NDArray[np.float64]]: ...
-    def log_levels(self, x: NDArray[np.float64], levels: int) -> NDArray[np.float64]: ...
 
 
 class Glances(Protocol):
@@ -52,7 +44,7 @@ class CostError:
     What is alike errs alike, and what was measured to cost too much is not tried again next to it.
     """
 
-    def __init__(self, measured: Sequence[Candidate], levels: int, space: Levers) -> None:
+    def __init__(self, measured: Sequence[Candidate], levels: int, space: Space) -> None:
         known = [(c.found.x, cost_us(c) / c.predicted[COST]) for c in measured if c.found is not None]
         self._levels, self._space = levels, space
         self._at = np.array([self._scaled(x) for x, _ in known])
@@ -80,7 +72,7 @@ class CostError:
 
 
 def next_trial(
-    best: Candidate, like: Sequence[Candidate], levels: int, search: Glances, space: Levers, station: Station,
+    best: Candidate, like: Sequence[Candidate], levels: int, search: Glances, space: Space, station: Station,
     random: np.random.Generator,
 ) -> tuple[Found, float] | None:  # fmt: skip
     """The point near the best that is worth measuring next, and the cost that is expected of it; None: none is.
@@ -96,16 +88,17 @@ def next_trial(
     error = CostError(near, levels, space)
     proposals = search.glances(space.around(at.x, levels, PROPOSED, random), levels, limits)
 
-    def expected_us(found: Found) -> tuple[float, float]:
+    def expected(found: Found) -> tuple[float, float]:
+        """The cost, us, and how far ln of it is off."""
         mean, spread = error.expected(found.x)
         return found.predicted[COST] * float(np.exp(mean)), spread
 
     def gain(found: Found) -> float:
         if not np.isfinite(found.objective) or found.predicted["memory_mb"] > station.memory_mb:
             return 0.0
-        cost, spread = expected_us(found)
-        chance = float(ndtr(np.log(station.budget_us / cost) / spread))
+        us, spread = expected(found)
+        chance = float(ndtr(np.log(station.budget_us / us) / spread))
         return max(best.objective - best.mispredicted * found.objective, 0.0) * chance
 
     first = max(proposals, key=gain)
-    return (first, expected_us(first)[0]) if gain(first) > LEAST_GAIN * best.objective else None
+    return (first, expected(first)[0]) if gain(first) > LEAST_GAIN * best.objective else None

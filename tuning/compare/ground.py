@@ -9,7 +9,7 @@ from functools import lru_cache
 from hapticlod.config import LodConfig
 from hapticlod.errors import InputError
 from hapticlod.ladder import Ladder, build_ladder
-from hapticlod.motion import Motion, lay_on_scan, load_motion, synthesise
+from hapticlod.motion import Motion, lay_on_scan, load_motion
 from hapticlod.replay import Record, replay_levels, runtime_levels
 from hapticlod.scan import Scan, load_scan
 from hapticlod.station import Station
@@ -17,6 +17,7 @@ from hapticlod.tool import Tool
 from tuning import kept
 from tuning.baselines import finest_only
 from tuning.compare.cell import Cell, MotionSet, ScanFile
+from tuning.make_hands import Hand, make_hands
 from tuning.recordings import lies_on
 
 _SEED = 700  # strokes of the tuner have other seeds: it must not have seen these
@@ -84,17 +85,13 @@ def ladder_of(file: ScanFile) -> Ladder:
 
 
 def _motions(asked: MotionSet, scan: Scan, tool: Tool, station: Station) -> Sequence[Motion]:
+    if asked.path is None:
+        hands = [Hand(mode, asked.seconds, 1000 * asked.seed + _SEED + i) for i, mode in enumerate(asked.modes)]
+        return make_hands(scan, station, tool, hands, 1)
     press = {
         "tool": tool, "stiffness_n_mm": station.stiffness_n_mm, "max_force_n": station.max_force_n,
         "encoder_mm": station.encoder_mm,
     }  # fmt: skip
-    if asked.path is None:
-        return [
-            synthesise(
-                scan, mode, seconds=asked.seconds, loop_hz=station.loop_hz, seed=1000 * asked.seed + _SEED + i, **press
-            )
-            for i, mode in enumerate(asked.modes)
-        ]
     recorded = load_motion(asked.path, station.loop_hz)
     placed = [m if lies_on(m, scan, tool) else lay_on_scan(m, scan, **press) for m in recorded]
     if not placed:
