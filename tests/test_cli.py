@@ -182,7 +182,7 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
 
     folder = tmp_path_factory.mktemp("tuned")
     write_stl(folder / "jaw.stl", make_dentition(triangles=10_000, seed=0))
-    words = ["tune", "jaw.stl", "-o", "jaw.hlod", "--json", "jaw.json", "--levels", "1-2", "--budget-us", "500"]
+    words = ["tune", "jaw.stl", "-o", "jaw.hlod", "--json", "jaw.json", "--levels", "2-2", "--budget-us", "500"]
     out, notes = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (("COLUMNS", "80"), ("HAPTICLOD_CACHE", str(folder / "cache"))):
@@ -238,6 +238,28 @@ class TestTuning:
     def test_every_stage_is_shown(self, tuned: SimpleNamespace) -> None:
         for stage in ("ladder", "motions", "optimise", "verify", "baselines", "bundle"):
             assert stage in tuned.notes
+
+    def test_what_fits_whole_is_not_searched(
+        self,
+        tuned: SimpleNamespace,
+        tmp_path: Path,
+        capsys: pytest.CaptureFixture[str],
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        """With one level allowed the full scan is the answer at once: nothing feels better."""
+        from tuning import prepare
+
+        for name in ("SEEN_S", "APART_S", "SWITCH_S"):
+            monkeypatch.setattr(prepare, name, (2.5,))
+        monkeypatch.setenv("HAPTICLOD_CACHE", str(tuned.folder / "cache"))
+        bundle = tmp_path / "whole.hlod"
+        assert tuning.cli.run(["tune", str(tuned.folder / "jaw.stl"), "-o", str(bundle), "--budget-us", "500"]) == 0
+        shown = capsys.readouterr()
+        assert "optimise" not in shown.err and "One level, the full scan" in shown.out
+        levels = read_bundle(bundle).levels
+        assert [level.triangles for level in levels] == [
+            json.loads((tuned.folder / "jaw.json").read_text())["repair"]["triangles"]
+        ]
 
     def test_the_bundle_reads_back(self, tuned: SimpleNamespace) -> None:
         told = json.loads((tuned.folder / "jaw.json").read_text())

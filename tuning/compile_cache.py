@@ -24,9 +24,14 @@ from jax.experimental.serialize_executable import deserialize_and_load, serializ
 from tuning import kept
 
 # XLA's fusion emitters double the time of code generation on a CPU, and its higher levels of optimisation add another
-# half; what they make of the surrogate and its slopes runs no faster (measured; docs/decisions.md D20, D56). Options of
-# a backend that is not there are refused, so only on a CPU.
-_CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
+# half; what they make of the surrogate and its slopes runs no faster (measured; docs/decisions.md D20, D56). Sums that
+# YNNPACK takes over (the default of jaxlib 0.10) are made anew for each use: without it a search's step takes two
+# thirds of the time (D111). Options of a backend that is not there are refused, so only on a CPU.
+_CPU_OPTIONS = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_backend_optimization_level": 1,
+    "xla_cpu_experimental_ynn_fusion_type": "",
+}
 
 _keeping = False
 

@@ -38,7 +38,8 @@ Start = tuple[int, NDArray[np.float64]]  # level count, x
 def best_of_scans(
     searches: Sequence[Search], counts: Sequence[int], limits: Sequence[Limits], seed: int
 ) -> list[dict[int, Found]]:
-    """The best of every level count for every scan, as `Search.best_of_each` begins: without what that polishes after.
+    """The best of every level count for every scan, from drawn starts alone: without the splits, hops and polish that
+    `Search.best_of_each` goes on with.
 
     Args:
         searches: one per scan, each with its own surrogate and space, all over the same population of motions.

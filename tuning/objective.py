@@ -18,10 +18,12 @@ COST_WEIGHT = 0.01
 
 def objective(metrics: Any, budget_us: Any) -> Any:
     """What is minimised: felt error plus noticed jumps, and a trace of cost to settle ties."""
-    return (
-        disturbance(metrics["felt_error_jnd"], metrics["discontinuity_per_s"])
-        + COST_WEIGHT * metrics["loop_cost_mean_us"] / budget_us
-    )
+    return felt_of(metrics) + COST_WEIGHT * metrics["loop_cost_mean_us"] / budget_us
+
+
+def felt_of(metrics: Any) -> Any:
+    """The `disturbance` of all motions together."""
+    return disturbance(metrics["felt_error_jnd"], metrics["discontinuity_per_s"])
 
 
 def disturbance(felt_error_jnd: Any, discontinuity_per_s: Any) -> Any:

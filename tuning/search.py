@@ -26,13 +26,12 @@ from tuning.optimise import SequentialQuadratic
 from tuning.population import POOLED, WORST, over_motions
 from tuning.sample import threads
 from tuning.space import Space, decode
+from tuning.split import splits
 
-# Points looked at per level count, those of them that are searched from, and the ends of these that are gone on with:
-# the best of them after a few soft steps is often not the one that ends best.
+# Points looked at for the fewest levels, those of them that are searched from, and the ends of these, or of the short
+# searches from splits, that are gone on with: the best of them after a few steps is often not the one that ends best.
 SCREENED, STARTS, HEADS = 24, 6, 3
-# After so many sharp steps the best ends of all, one of each level count, are searched from to the end: so many, and
-# those that are worse than the best by no more than this factor. The fewest levels, the usual answer, are from each.
-TRIED_STEPS, FINALISTS, _BEHIND = 12, 3, 1.1
+TRIED_STEPS = 12  # of a short sharp search
 MARGIN = 0.98  # of the budget that the surrogate may use
 # Switching is sharpened in stages: a soft trigger sees further, a sharp one counts right (PERCEPTION.md section 2).
 SOFT, SHARP = 6.0, 20.0
@@ -225,24 +224,25 @@ class Search:
         with ThreadPoolExecutor(threads()) as pool:
             self._compile(pool, counts[0], held)
             before = self._known.best([k for k in counts if k not in near], lambda known: self._promise(known, held))
-            soft = [
-                (k, x, SOFT, SOFT_STEPS)
-                for k in counts if k not in near and k not in before for x in self.starts(pool, k, held, seed)
-            ]  # fmt: skip
+            anew = [k for k in counts if k not in near and k not in before]
+            drawn = [k for k in anew if k - 1 not in counts]
+            soft = [(k, x, SOFT, SOFT_STEPS) for k in drawn for x in self.starts(pool, k, held, seed)]
             found = list(zip((task[0] for task in soft), pool.map(solved, soft), strict=True))
             sharp = [(k, x, SHARP, MOST_STEPS) for k, x in near.items()]
             sharp += [(k, before[k], SHARP, MOST_STEPS) for k in list(before)[:FOLLOWED]]
-            for levels in dict.fromkeys(k for k, _ in found):
+            for levels in drawn:
                 try:
                     heads = heads_of([f for k, f in found if k == levels], levels)
                 except ArithmeticError:
                     heads_of([self.look(f.x, k, limits) for k, f in found if k == levels], levels)  # names the terms
                     raise
-                sharp += [(levels, f.x, SHARP, TRIED_STEPS if levels > min(counts) else MOST_STEPS) for f in heads]
+                sharp += [(levels, f.x, SHARP, MOST_STEPS) for f in heads]
             ends: dict[int, Found] = {}
             _better(ends, sharp, pool, solved)
-            if soft:
-                _better(ends, [(k, ends[k].x, SHARP, MOST_STEPS) for k in _finalists(ends)], pool, solved)
+            for levels in sorted(set(anew) - set(drawn)):
+                fewer = ends[levels - 1].x if levels - 1 in ends else before[levels - 1]
+                _better(ends, self._split(fewer, levels, pool, solved), pool, solved)
+            if anew:
                 hop(ends, lambda hops: _better(ends, [(k, x, SHARP, TRIED_STEPS) for k, x in hops], pool, solved), seed)
                 self._polish(ends, pool, solved)
                 self._widen(ends, limits)
@@ -250,6 +250,12 @@ class Search:
         for levels, end in [*found, *ends.items()]:
             self._know(levels, end)
         return {levels: self.look(ends[levels].x, levels, limits) for levels in counts}
+
+    def _split(self, fewer: NDArray[np.float64], levels: int, pool: ThreadPoolExecutor, solved: Solved) -> list[Task]:
+        """Searches from the most promising ends of short ones, which begin where one level of `fewer` is two."""
+        short = [(levels, x, SHARP, TRIED_STEPS) for x in splits(self._space, fewer, levels - 1)]
+        tried = sorted(pool.map(solved, short), key=lambda found: found.rank)
+        return [(levels, found.x, SHARP, MOST_STEPS) for found in tried[:HEADS]]
 
     def _polish(self, ends: dict[int, Found], pool: ThreadPoolExecutor, solved: Solved) -> None:
         """Searches on from the best ends, in place, and from the best of all with a level more that is hardly used."""
@@ -372,14 +378,6 @@ def _better(ends: dict[int, Found], tasks: Sequence[Task], pool: ThreadPoolExecu
     for (levels, *_), end in zip(tasks, list(pool.map(solved, tasks)), strict=True):
         if levels not in ends or end.rank < ends[levels].rank:
             ends[levels] = end
-
-
-def _finalists(ends: Mapping[int, Found]) -> list[int]:
-    """Level counts that are worth a search to the end, best first."""
-    order = sorted(ends, key=lambda k: ends[k].rank)
-    broken, least = ends[order[0]].rank
-    near = [k for k in order[FINALISTS:] if ends[k].rank <= (broken, _BEHIND * least)]
-    return order[:FINALISTS] + near
 
 
 def heads_of(found: Sequence[Found], levels: int) -> list[Found]:

@@ -21,7 +21,7 @@ from tuning.correction import limits_of
 from tuning.costing import Costing
 from tuning.explain import agreement, explain, refusal
 from tuning.explore import Judge, explore
-from tuning.objective import holds
+from tuning.objective import felt_of, holds
 from tuning.population import POOLED, check_over, measured_each, measured_objective
 from tuning.prepare import Prepared, Progress, Stages, prepare
 from tuning.search import Search
@@ -112,6 +112,8 @@ def tune(
     clock = Clock(verifier, station)
 
     def explored(allowed: Station, near: Mapping[int, Candidate]) -> list[Candidate]:
+        if counts[0] == 1 and any(_is_perfect(candidate, allowed) for candidate in candidates):
+            return []
         made = explore(search, verifier, ready, allowed, list(near) or counts, seed, stages, judged, near)
         stages("ask the clock", 0.0)
         return made
@@ -122,9 +124,9 @@ def tune(
     chosen, said = found
     ranked = sorted(candidates, key=lambda c: (c is not chosen, not c.feasible, merit(c)))
     feasible = {name: holds(metrics, station) for name, metrics in baselines.items()}
+    stages("differentiate the optimum", 0.0)
     predicted = chosen.predicted or search.look(ready.space.point(chosen.config), 1, limits_of(station, 1.0)).predicted
     feasible["tuned"] = True
-    stages("differentiate the optimum", 0.0)
     answers = sensitivities(search, ready.space, chosen.optimum, station)
     stages.close()
     reason = explain(ranked, baselines, station, scan.triangles, tool)
@@ -176,6 +178,11 @@ def _baselines(
             alone.append(Candidate(config, {}, found, judged(config, found), holds(found, station)))
         stages("measure the baselines", (i + 1) / len(fixed))
     return measured, ticks, alone
+
+
+def _is_perfect(candidate: Candidate, station: Station) -> bool:
+    """Whether it holds its limits and nothing is felt of it: all that a search could still find is a trace of cost."""
+    return holds(candidate.measured, station) and felt_of(candidate.measured) == 0.0
 
 
 def _nothing_fits(candidates: list[Candidate], station: Station, ratio: float) -> InputError:
