@@ -193,7 +193,8 @@ class Search:
     def best_of_each(
         self, counts: Sequence[int], limits: Limits, seed: int, near: Mapping[int, NDArray[np.float64]] | None = None
     ) -> dict[int, Found]:
-        """The best configuration of every level count: soft from many starts, then sharp from the best of them.
+        """The best configuration of every level count: of the fewest levels from many starts, of each further from the
+        best with one less, a level of which is split; all from the best that earlier runs know to fit, where they do.
 
         Args:
             counts: level counts.
@@ -242,7 +243,7 @@ class Search:
             for levels in sorted(set(anew) - set(drawn)):
                 fewer = ends[levels - 1].x if levels - 1 in ends else before[levels - 1]
                 _better(ends, self._split(fewer, levels, pool, solved), pool, solved)
-            if anew:
+            if not near:
                 hop(ends, lambda hops: _better(ends, [(k, x, SHARP, TRIED_STEPS) for k, x in hops], pool, solved), seed)
                 self._polish(ends, pool, solved)
                 self._widen(ends, limits)
