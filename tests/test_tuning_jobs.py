@@ -68,11 +68,12 @@ def test_a_verified_front_tells_what_the_runtime_gives(folder: Path, front: dict
         assert point["holds_measured"] == within
     held = [p["measured"]["felt_error_jnd"] for p in points if p["holds_measured"]]
     assert held, "the largest budget is what the full scan costs"
-    # The same configuration again, on the half of the recording that was kept apart, without the tuner.
+    # The same configuration again, on the part of the recording that was kept apart, without the tuner.
     from hapticlod.ladder import build_ladder
+    from tuning.recordings import seen_and_apart
 
-    scan, (motion,) = scan_and_motions(folder)
-    ladder, apart = build_ladder(scan), motion.part(motion.seconds / 2, motion.seconds)
+    scan, motions = scan_and_motions(folder)
+    ladder, (_, (apart,)) = build_ladder(scan), seen_and_apart(scan, station(), tool(), motions, False)
     config = LodConfig.model_validate(points[-1]["config"])
     cell_mm = 4 * ladder.rungs[0].mean_edge_mm
     finest = LodConfig(levels=(Level(triangles=scan.triangles, cell_mm=cell_mm, balls=1),))
