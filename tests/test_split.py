@@ -22,7 +22,7 @@ def speeds(x: np.ndarray, levels: int) -> np.ndarray:
 def test_keeps_the_order(levels: int) -> None:
     rows, limits = SPACE.order_rows(levels + 1)
     points = splits(SPACE, some_point(levels), levels)
-    assert len(points) == 2 * FIRST if levels == 1 else levels * max(LATER // levels, FEWEST)
+    assert len(points) == (2 * FIRST if levels == 1 else levels * max(LATER // levels, FEWEST))
     for point in points:
         assert (rows @ point <= limits + 1e-9).all()
         assert ((point >= 0.0) & (point <= 1.0)).all()

@@ -73,7 +73,7 @@ def test_a_verified_front_tells_what_the_runtime_gives(folder: Path, front: dict
     from tuning.recordings import seen_and_apart
 
     scan, motions = scan_and_motions(folder)
-    ladder, (_, (apart,)) = build_ladder(scan), seen_and_apart(scan, station(), tool(), motions, False)
+    ladder, (_, (apart,)) = build_ladder(scan), seen_and_apart(scan, station(), tool(), motions)
     config = LodConfig.model_validate(points[-1]["config"])
     cell_mm = 4 * ladder.rungs[0].mean_edge_mm
     finest = LodConfig(levels=(Level(triangles=scan.triangles, cell_mm=cell_mm, balls=1),))

@@ -52,4 +52,4 @@ def _split(
     point[3 * k : 3 * k + levels] = np.sort(np.append(x[3 * k : 3 * k + levels - 1], speed))
     if levels == 1:
         point[4 * k - 1 :] = _SWITCHING
-    return space.ordered(np.clip(point, 0.0, 1.0), levels + 1)
+    return space.ordered(point, levels + 1)
