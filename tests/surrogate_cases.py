@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hapticlod.perception import load_perception
-from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_samples
+from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, SpeedFactors, cell_factors, group_samples
 from hapticlod.surrogate.ladder_curves import ladder_curves
 from hapticlod.surrogate.measurement import Feel, Instants, LadderMeasurement
 from hapticlod.surrogate.traps import Traps
@@ -80,6 +80,10 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
         depth=curves(np.clip(samples - 10, 0, 2)),
         switch=curves(entries),
         free_switch=curves(entries - 1.0),
+        by_speed=SpeedFactors(
+            jnp.log(jnp.array([4.0, 20.0, 90.0])),
+            jnp.asarray(np.outer([-0.3, 0.05, 0.6], np.linspace(0.4, 1.0, len(SWITCH_SHARES)))),
+        ),
         log_reach=jnp.log(jnp.array([0.2, 2.0])),
         steps=jnp.array([1.2, 3.0]),
         contact=jnp.asarray(random.uniform(0.3, 1.0, BINS)),

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticlod.surrogate.cost import SWITCH_SHARES, CostModel, cell_factors, group_samples
+from hapticlod.surrogate.cost import CostModel, SpeedFactors, cell_factors, group_samples
 from hapticlod.surrogate.ladder_curves import LadderCurves, ladder_curves
 from hapticlod.surrogate.measurement import Feel, Instants, LadderMeasurement
 from hapticlod.surrogate.traps import Traps
+from tuning.common_shape import in_common_shape
 from tuning.grid import Clock, Grid
 from tuning.level_fields import WINDOWS_S, Reference
 from tuning.replays import Tour
@@ -20,15 +21,12 @@ from tuning.split_traps import split_traps
 
 Array = NDArray[np.float64]
 
-_FEWEST_ENTRIES = 8
 # Shares of a level's ticks, dearest first: where the body of its costs begins, and what stands for two percentiles.
 _BODY_FROM, _P99_SPAN, _P999_SPAN = 0.1, (0.005, 0.02), (0.0004, 0.0025)
 # Costs are counted and have no noise: quantiles are smoothed only as far as slopes need it, in ln cost.
 _SPREAD = 0.03
 # Of a group of windows that share a distribution of costs: its size, and the cut-off of the speed they share.
 _GROUP_TICKS, _GROUP_HZ = 512, 13.0
-# The number of contact cycles is a shape: in steps, so that compiled code fits other motions.
-_CYCLE_STEP = 64
 
 
 @dataclass(frozen=True)
@@ -46,6 +44,7 @@ class LadderData:
         switch_ns, free_switch_ns: (R, B, M, 3) cost of ticks that enter a level, on the station, in contact and out of
             it: one value for each of the shares `hapticlod.surrogate.cost.SWITCH_SHARES`, cheapest first; from the next
             rung with a short mapping length and with a long one, and with the long one from a rung far away.
+        switch_speed_mm_s, switch_by_speed: of `tuning.entries.entry_speeds`.
         reach_mm: the two mapping lengths. steps: |ln N - ln N'| of a next rung and of one far away.
         cell_rungs: rungs whose other cell sizes were sampled.
         cell_cost: (S, B, H, 3) costs by cell size at these rungs: `stages_of_cost`.
@@ -63,6 +62,8 @@ class LadderData:
     tour: Tour
     switch_ns: Array
     free_switch_ns: Array
+    switch_speed_mm_s: Array
+    switch_by_speed: Array
     reach_mm: tuple[float, float]
     steps: tuple[float, float]
     cell_rungs: tuple[int, ...]
@@ -95,10 +96,10 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
 
     fields, traps = _without_traps(data)
     feel = Feel(**{name: curves(fields[name]) for name in Feel.__dataclass_fields__})
-    cycle = felt.binned(reference.cycle)[:, -1]
+    cycle = _numbered(felt.binned(reference.cycle)[:, -1])
     tick_s = 1.0 / clock.loop_hz
     log_bytes = np.log(data.level_bytes)[:, None, None] + _cell_bytes(data)[:, None, :]
-    return LadderMeasurement(
+    measured = LadderMeasurement(
         coarseness=jnp.asarray(coarseness),
         thinness=jnp.asarray(thinness),
         log_finest=jnp.asarray(np.log(float(grid.triangles[0]))),
@@ -115,11 +116,17 @@ def assemble(data: LadderData, stiffness_n_mm: float, dwell_s: float) -> LadderM
         log_bytes=curves(log_bytes),
         log_cell_edges=jnp.asarray(np.log(np.array(grid.cell_edges))),
         stiffness_n_mm=jnp.asarray(stiffness_n_mm),
-        cycles=-(-int(reference.cycle.max(initial=0) + 1) // _CYCLE_STEP) * _CYCLE_STEP,
+        cycles=len(cycle) + 1,  # as many as there may be, since it is a shape: compiled code fits other motions
         tick_s=tick_s,
         dwell_ticks=round(dwell_s / tick_s),
         perception=reference.perception,
     )
+    return in_common_shape(measured)
+
+
+def _numbered(cycle: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Cycles of bins, numbered anew without those in which no bin ends; 0 stays 0."""
+    return np.unique(np.append(0, cycle), return_inverse=True)[1][1:]
 
 
 def _instants(data: LadderData, stiffness_n_mm: float) -> Instants:
@@ -200,6 +207,7 @@ def _cost_model(data: LadderData, curves) -> CostModel:
         depth=curves(depth),
         switch=curves(np.log(np.maximum(data.switch_ns, 1.0))),
         free_switch=curves(np.log(np.maximum(data.free_switch_ns, 1.0))),
+        by_speed=SpeedFactors(jnp.log(jnp.asarray(data.switch_speed_mm_s)), jnp.asarray(data.switch_by_speed)),
         log_reach=jnp.log(jnp.array(data.reach_mm)),
         steps=jnp.array(data.steps),
         cells=cell_factors(np.array(data.grid.cell_edges), _along_rungs(data, factors)),
@@ -227,21 +235,6 @@ def cost_groups(velocity_mm_s: Array, clock: Clock) -> NDArray[np.intp]:
     parts = max(1, round(len(order) * window / _GROUP_TICKS))
     group[order] = np.arange(len(order)) * parts // len(order)
     return group
-
-
-def entry_costs(cost: Array, touched: NDArray[np.bool_], ordinary: Array) -> tuple[Array, Array]:
-    """Cost of ticks that enter a level, (M,) in contact and (M,) out of it, cheapest share first.
-
-    Args:
-        cost: (n,) of the ticks that entered it. touched: (n,) whether in contact.
-        ordinary: of all its ticks: what stands in where nothing ever entered it.
-    """
-    edges = np.concatenate([[0.0], np.cumsum(SWITCH_SHARES)])
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    every = cost if len(cost) else ordinary
-    kinds = (cost[chosen] if chosen.sum() >= _FEWEST_ENTRIES else every for chosen in (touched, ~touched))
-    in_contact, free = (np.quantile(kind, middle) for kind in kinds)
-    return in_contact, free
 
 
 def _along_rungs(data: LadderData, values: Array) -> Array:

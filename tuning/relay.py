@@ -17,20 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticlod.layout import RECORD_DTYPE
+from hapticlod.metrics import hand_speed_mm_s
 from hapticlod.motion import Motion
+from tuning.entries import Entered
 from tuning.grid import Clock
 from tuning.replays import MOST_RUNTIME_LEVELS, Bench, run, unreached_levels
 
 # Long enough that a switch solves for the old place too, as every switch that is blended does.
 _BLEND_MS = 20.0
 
-Entries = dict[tuple[int, int], NDArray]
-
 
 def relay_ladder(
     bench: Bench, levels: Sequence[Any], motions: Sequence[Motion], clock: Clock, l_mm: float, threads: int,
     done: Callable[[float], None], leaping: bool = False,
-) -> tuple[Entries, dict[tuple[int, int], NDArray[np.bool_]]]:  # fmt: skip
+) -> dict[tuple[int, int], Entered]:  # fmt: skip
     """Hands the level up and down the ladder, one rung per instant, or leaping over several.
 
     Args:
@@ -42,8 +42,7 @@ def relay_ladder(
         leaping: over about two fifths of the ladder at a time.
 
     Returns:
-        By (rung, subset): rows of RECORD_DTYPE of the ticks that entered it, and whether they, or the ticks before,
-        were in contact. Empty where the ladder has one rung only.
+        By (rung, subset), the ticks that entered it. None where the ladder has one rung only.
     """
     rungs, subsets = bench.grid.shape
     order = leaps(rungs) if leaping else list(range(rungs))
@@ -51,28 +50,26 @@ def relay_ladder(
     # Legs share their end stops, so that every step of the ladder is taken.
     size = MOST_RUNTIME_LEVELS - 1
     legs = [stops[i : i + size + 1] for i in range(0, max(len(stops) - 1, 1), size)]
-    entries: dict[tuple[int, int], list[NDArray]] = {stop: [] for stop in stops}
-    contacts: dict[tuple[int, int], list[NDArray[np.bool_]]] = {stop: [] for stop in stops}
+    entries: dict[tuple[int, int], list[Entered]] = {stop: [] for stop in stops}
+    speeds = [hand_speed_mm_s(np.asarray(motion.position_mm), motion.loop_hz) for motion in motions]
 
-    def go(leg: list[tuple[int, int]]) -> list[tuple[NDArray, NDArray[np.bool_]]]:
+    def go(leg: list[tuple[int, int]]) -> list[Entered]:
         config = unreached_levels(bench, bench.station, leg, l_mm, _BLEND_MS)
         renderer = bench.renderer([levels[r] for r, _ in leg], config)
-        found = [_entered(renderer, motion, clock, len(leg)) for motion in motions]
-        return [
-            (np.concatenate([rows[k] for rows, _ in found]), np.concatenate([touched[k] for _, touched in found]))
-            for k in range(len(leg))
-        ]
+        found = [_entered(renderer, *each, clock, len(leg)) for each in zip(motions, speeds, strict=True)]
+        return [_joined(parts) for parts in zip(*found, strict=True)]
 
     with ThreadPoolExecutor(threads) as pool:
         for count, (leg, parts) in enumerate(zip(legs, pool.map(go, legs), strict=True), 1):
-            for stop, (rows, touched) in zip(leg, parts, strict=True):
-                entries[stop].append(rows)
-                contacts[stop].append(touched)
+            for stop, part in zip(leg, parts, strict=True):
+                entries[stop].append(part)
             done(count / len(legs))
-    return (
-        {stop: np.concatenate(parts) for stop, parts in entries.items()},
-        {stop: np.concatenate(parts) for stop, parts in contacts.items()},
-    )
+    return {stop: _joined(parts) for stop, parts in entries.items()}
+
+
+def _joined(parts: Sequence[Entered]) -> Entered:
+    names = Entered.__dataclass_fields__
+    return Entered(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
 def leaps(rungs: int) -> list[int]:
@@ -87,8 +84,8 @@ def mean_step(order: Sequence[int], triangles: Sequence[int]) -> float:
     return float(np.abs(np.diff(log)).mean()) if len(log) > 1 else 0.0
 
 
-def _entered(renderer: Any, motion: Motion, clock: Clock, count: int) -> tuple[list[NDArray], list[NDArray[np.bool_]]]:
-    """Rows and contacts of the ticks that entered each of `count` levels, in one motion."""
+def _entered(renderer: Any, motion: Motion, speed_mm_s: NDArray, clock: Clock, count: int) -> list[Entered]:
+    """The ticks that entered each of `count` levels, in one motion."""
     up = np.arange(count)
     wave = np.concatenate([up, up[-2:0:-1]])
     turn = np.arange(motion.ticks) // clock.ticks_per_instant
@@ -97,4 +94,4 @@ def _entered(renderer: Any, motion: Motion, clock: Clock, count: int) -> tuple[l
     touched = (rows["contact"][at] | rows["contact"][at - 1]) == 1
     entered = rows["level"][at]
     picked = [entered == k for k in range(count)]
-    return [rows[at[own]].astype(RECORD_DTYPE) for own in picked], [touched[own] for own in picked]
+    return [Entered(rows[at[own]].astype(RECORD_DTYPE), touched[own], speed_mm_s[at[own]]) for own in picked]

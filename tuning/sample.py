@@ -14,9 +14,10 @@ from hapticlod.errors import InputError
 from hapticlod.motion import Motion
 from hapticlod.perception import Perception
 from hapticlod.surrogate.cost import SWITCH_SHARES
-from tuning.assemble import LadderData, cell_rungs, entry_costs, stages_of_cost
+from tuning.assemble import LadderData, cell_rungs, stages_of_cost
 from tuning.calibrate import calibrate
 from tuning.costing import Costing
+from tuning.entries import entry_costs, entry_speeds
 from tuning.grid import Clock
 from tuning.level_fields import level_fields, make_reference
 from tuning.relay import leaps, mean_step, relay_ladder
@@ -105,7 +106,7 @@ def sample_ladder(
         )
         for i, (reach, leaping) in enumerate(kinds)
     ]  # fmt: skip
-    entered = [(place, rows) for entries, _ in relays for place, rows in entries.items() if len(rows)]
+    entered = [(place, its.rows) for entries in relays for place, its in entries.items() if len(its.rows)]
     chosen = tuple(cell_rungs(grid, _SWEPT if subsets == 1 else _SWEPT_SHAPED))
     swept, cell_bytes = _sweep_cells(bench, levels, chosen, whole, progress)
 
@@ -129,19 +130,23 @@ def sample_ladder(
     for (r, b), rows in kept.items():
         cost[r, b] = costing.counted_ns(rows, int(level_bytes[r]), grid.balls[b], None, rung_factor[r])
     switch = np.zeros((2, *grid.shape, len(SWITCH_SHARES), len(kinds)))
-    for i, (entries, touched) in enumerate(relays):
-        for place, rows in entries.items():
-            enters = np.ones(len(rows), dtype=bool)
+    in_contact: list[tuple[Array, Array]] = []
+    for i, entries in enumerate(relays):
+        for place, its in entries.items():
+            enters = np.ones(len(its.rows), dtype=bool)
             size, carried = int(level_bytes[place[0]]), grid.balls[place[1]]
             factor = rung_factor[place[0]]
-            priced = costing.counted_ns(rows, size, carried, enters, factor) if len(rows) else np.zeros(0)
-            switch[:, *place, :, i] = np.stack(entry_costs(priced, touched[place], cost[place]))
+            priced = costing.counted_ns(its.rows, size, carried, enters, factor) if len(its.rows) else np.zeros(0)
+            switch[:, *place, :, i] = np.stack(entry_costs(priced, its.touched, cost[place]))
+            in_contact.append((priced[its.touched], its.speed_mm_s[its.touched]))
+    by_speed = entry_speeds(in_contact)
 
     data = LadderData(
         grid=grid, clock=clock, felt_clock=felt_clock, fields=fields, velocity_mm_s=_velocity_mm_s(whole),
         contact=np.concatenate([rows["contact"] == 1 for rows in first]), cost_ns=cost,
         reference=reference, tour=tour,
-        switch_ns=switch[0], free_switch_ns=switch[1], reach_mm=reach_mm,
+        switch_ns=switch[0], free_switch_ns=switch[1], switch_speed_mm_s=by_speed[0], switch_by_speed=by_speed[1],
+        reach_mm=reach_mm,
         steps=(mean_step(range(rungs), grid.triangles), mean_step(leaps(rungs), grid.triangles)), cell_rungs=chosen,
         cell_cost=_cell_cost(bench, chosen, kept, swept, cell_bytes, costing), level_bytes=level_bytes,
         cell_bytes=cell_bytes,

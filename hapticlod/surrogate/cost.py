@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
-from hapticlod.surrogate.ladder_curves import LadderCurves, Places, cubic_weights, pchip_slopes
+from hapticlod.surrogate.ladder_curves import LadderCurves, Places, cubic_weights, linear_weights, pchip_slopes
 from hapticlod.surrogate.quantile import smooth_max, smooth_quantiles
 from hapticlod.surrogate.switching import Switching, affine_scan
 
@@ -95,6 +95,21 @@ def cell_factors(cell_edges: NDArray, factors: NDArray) -> CellFactors:
     return CellFactors(jnp.asarray(log_edges), jnp.asarray(nodes))
 
 
+class SpeedFactors(eqx.Module):
+    """How the cost of entering a level in contact changes with the hand's speed, relative to all entries of a relay.
+
+    - `log_mm_s`: (C,) ln of speeds, increasing.
+    - `log_factors`: (C, M) on the cost of each of `SWITCH_SHARES`.
+    """
+
+    log_mm_s: Float[Array, " C"]
+    log_factors: Float[Array, "C M"]
+
+    def at(self, log_speeds: Float[Array, " J"]) -> Float[Array, "J M"]:
+        """ln factors of switches at these speeds (ln mm/s)."""
+        return linear_weights(self.log_mm_s, log_speeds) @ self.log_factors
+
+
 class CostModel(eqx.Module):
     """Measured tick costs of the ladder.
 
@@ -106,6 +121,7 @@ class CostModel(eqx.Module):
       for each of `SWITCH_SHARES`; from a next rung at either of two mapping lengths, and at the longer one from a rung
       far away. `log_reach`: (2,) ln of these lengths, mm. `steps`: (2,) |ln N - ln N'| of a next and of a far rung.
     - `free_switch`: the same without contact.
+    - `by_speed`: how what `switch` says depends on the hand's speed.
     - `cells`: dependence on cell size.
     - `contact`: (m,) share of a bin's ticks in which the reference is in contact, of all bins that were priced.
     - `sizes`: (groups, samples) ticks that a sample stands for.
@@ -116,6 +132,7 @@ class CostModel(eqx.Module):
     depth: LadderCurves
     switch: LadderCurves
     free_switch: LadderCurves
+    by_speed: SpeedFactors
     log_reach: Float[Array, " 2"]
     steps: Float[Array, " 2"]
     cells: CellFactors
@@ -155,10 +172,12 @@ def tick_costs(
     switching: Switching,
     log_reach: Float[Array, ""],
     log_triangles: Float[Array, " K"],
+    log_speeds: Float[Array, " J"],
 ) -> tuple[TickCosts, Float[Array, "K G S"], Float[Array, "K windows"]]:
     """The mixture over levels and switches; also each level's samples (ln ns) and its weight in every window.
 
-    `log_reach` is ln of the longer mapping length, `log_triangles` of the levels' sizes.
+    `log_reach` is ln of the longer mapping length, `log_triangles` of the levels' sizes, `log_speeds` of the switching
+    speeds in mm/s.
     """
     depth = model.depth.levels(places)
     factors = model.cells.levels(places, log_cell_edges)
@@ -177,10 +196,14 @@ def tick_costs(
     span = jnp.maximum(model.steps[1] - model.steps[0], 1e-3)
     far = jnp.clip((jnp.abs(jnp.diff(log_triangles)) - model.steps[0]) / span, 0.0, _FURTHEST)  # (J,)
     mix = jnp.stack([jnp.broadcast_to(1 - long, far.shape), long - far, far])  # (3, J)
-    for curves, share_of in ((model.switch, model.contact), (model.free_switch, 1 - model.contact)):
+    by_speed = model.by_speed.at(log_speeds)
+    free = jnp.zeros_like(by_speed)
+    for curves, share_of, hurried in (
+        (model.switch, model.contact, by_speed), (model.free_switch, 1 - model.contact, free),
+    ):  # fmt: skip
         events = curves.levels(places)  # (K, M, 3)
         for entered, flow in ((slice(1, None), switching.up), (slice(None, -1), switching.down)):
-            cost = jnp.einsum("jmx,xj->jm", events[entered], mix) + factors[entered, 1:2]
+            cost = jnp.einsum("jmx,xj->jm", events[entered], mix) + factors[entered, 1:2] + hurried
             parts.append(cost.reshape(-1))
             happened = jnp.sum(flow * share_of, axis=1)
             counts.append((happened[:, None] * jnp.array(SWITCH_SHARES, dtype=flow.dtype)).reshape(-1))

@@ -51,7 +51,8 @@ def pchip_slopes(knots: NDArray, values: NDArray) -> NDArray:
 
 def _interval(knots: Float[Array, " n"], x: Float[Array, " K"]):
     """One-hot interval (K, n - 1), place in it (K, 1) and width (K, 1); outside the knots the nearest end."""
-    x = jnp.clip(x, knots[0], knots[-1])[:, None]
+    # On an end knot the slope is that inside: of two equal values a `clip` would pass on half of it to either.
+    x = jnp.where(x < knots[0], knots[0], jnp.where(x > knots[-1], knots[-1], x))[:, None]
     index = jnp.sum(x >= knots[None, 1:-1], axis=1, keepdims=True)
     chosen = jnp.where(jnp.arange(knots.shape[0] - 1) == index, 1.0, 0.0).astype(knots.dtype)
     width = chosen @ jnp.diff(knots)[:, None]

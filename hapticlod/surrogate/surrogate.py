@@ -150,8 +150,9 @@ def predict_members(
 
     log_reach = jnp.maximum(parameters.log_l_in, parameters.log_l_out)
     costs, samples, windows = tick_costs(
-        measured.cost, where, parameters.log_cell_edges, all_bins, log_reach, parameters.log_triangles
-    )
+        measured.cost, where, parameters.log_cell_edges, all_bins, log_reach, parameters.log_triangles,
+        parameters.reachable_log_speeds,
+    )  # fmt: skip
     spread = measured.cost.spread
     shares = jnp.clip(weights, 0.0, None)
     peaks, depths = levels(feel.peak_n).reshape(-1), levels(feel.depth_mm).reshape(-1)
