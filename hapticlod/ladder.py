@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -141,6 +141,7 @@ def build_ladder(
     *,
     progress: Callable[[str, float], None] | None = None,
     keep: Keep = make_anew,
+    meshed: Callable[[Sequence[Rung]], None] | None = None,
 ) -> Ladder:
     """Simplify a scan once and cut the list of collapses into rungs, evenly spaced in the logarithm of their size.
 
@@ -150,6 +151,7 @@ def build_ladder(
         coarsest_ratio: the scan's triangles over those of the coarsest rung.
         progress: called with the stage and how much of it is done, 0 to 1.
         keep: asked for the list of collapses and for every rung's deviation: what takes long on a large scan.
+        meshed: called once with all rungs, before they are measured, which takes most of the time.
 
     Raises:
         InputError: fewer than 1 rung or a ratio below 1.
@@ -166,10 +168,10 @@ def build_ladder(
     collapses: CollapseList = keep("collapses", lambda: collapse(scan.vertices, scan.faces, targets[-1]))
     same = np.arange(len(scan.vertices), dtype=np.int32)
     finest = Rung(scan.vertices, scan.faces, same, count, surface, scan.vertex_materials)
-    made, refused, last = [finest], "", 0
+    made, steps_of, refused, last = [finest], [0], "", 0
     sides = Sides(scan.vertices, scan.faces)
     tell(STAGE, 0.2)
-    for number, target in enumerate(targets[1:], start=1):
+    for target in targets[1:]:
         steps = collapses.collapses_for(target)
         try:
             rung = _rung(collapses, steps, target, scan, surface, sides)
@@ -179,9 +181,13 @@ def build_ladder(
         last = steps
         if rung.triangles > (1.0 - _LEAST_STEP) * made[-1].triangles:
             continue
-        rung._measure(keep, f"deviation after {steps} collapses")  # now, while progress is shown
         made.append(rung)
-        tell(STAGE, 0.2 + 0.8 * number / max(1, rungs - 1))
+        steps_of.append(steps)
+    if meshed is not None:
+        meshed(made)
+    for number, (rung, steps) in enumerate(zip(made[1:], steps_of[1:], strict=True), start=1):
+        rung._measure(keep, f"deviation after {steps} collapses")  # now, while progress is shown
+        tell(STAGE, 0.2 + 0.8 * number / len(made))
     tell(STAGE, 1.0)
     notes = ((refused,) if refused else ()) + _notes(made, targets, bool(refused))
     return Ladder(scan, tuple(made), notes, collapses, sides, last)

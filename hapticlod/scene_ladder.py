@@ -121,11 +121,23 @@ class SceneLadder:
         return made
 
 
-def ladder_of(scan: Scan, *, progress: Callable[[str, float], None] | None = None, keep: Keep = make_anew) -> Ladder:
-    """The ladder of a scan, or of a scene, which has everything that the tuner asks of one: see `build_ladder`."""
-    if isinstance(scan, Scene):
-        return cast(Ladder, build_scene_ladder(scan, progress=progress, keep=keep))
-    return build_ladder(scan, progress=progress, keep=keep)
+def ladder_of(
+    scan: Scan,
+    *,
+    progress: Callable[[str, float], None] | None = None,
+    keep: Keep = make_anew,
+    meshed: Callable[[Sequence[Rung]], None] | None = None,
+) -> Ladder:
+    """The ladder of a scan, or of a scene, which has everything that the tuner asks of one: see `build_ladder`.
+
+    A scene's parts are measured one by one: `meshed` is told its rungs when they are all known.
+    """
+    if not isinstance(scan, Scene):
+        return build_ladder(scan, progress=progress, keep=keep, meshed=meshed)
+    ladder = cast(Ladder, build_scene_ladder(scan, progress=progress, keep=keep))
+    if meshed is not None:
+        meshed(ladder.rungs)
+    return ladder
 
 
 def share_for(scene: Scene, triangles: int) -> float:

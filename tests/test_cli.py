@@ -178,7 +178,7 @@ class TestOtherFiles:
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     """A folder in which `hapticlod tune` was typed, and what it printed. Its motions are short; the cache is empty."""
-    from tuning import prepare
+    from tuning import own_hands
 
     folder = tmp_path_factory.mktemp("tuned")
     write_stl(folder / "jaw.stl", make_dentition(triangles=10_000, seed=0))
@@ -188,7 +188,7 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
         for name, value in (("COLUMNS", "80"), ("HAPTICLOD_CACHE", str(folder / "cache"))):
             patch.setenv(name, value)
         for name in ("SEEN_S", "APART_S", "SWITCH_S"):
-            patch.setattr(prepare, name, (2.5,))
+            patch.setattr(own_hands, name, (2.5,))
         for name, few in (("SCREENED", 8), ("STARTS", 3)):
             patch.setattr(f"tuning.search.{name}", few)
         patch.chdir(folder)
@@ -247,10 +247,10 @@ class TestTuning:
         monkeypatch: pytest.MonkeyPatch,
     ) -> None:
         """With one level allowed the full scan is the answer at once: nothing feels better."""
-        from tuning import prepare
+        from tuning import own_hands
 
         for name in ("SEEN_S", "APART_S", "SWITCH_S"):
-            monkeypatch.setattr(prepare, name, (2.5,))
+            monkeypatch.setattr(own_hands, name, (2.5,))
         monkeypatch.setenv("HAPTICLOD_CACHE", str(tuned.folder / "cache"))
         bundle = tmp_path / "whole.hlod"
         assert tuning.cli.run(["tune", str(tuned.folder / "jaw.stl"), "-o", str(bundle), "--budget-us", "500"]) == 0

@@ -97,7 +97,7 @@ def test_another_budget_replays_only_what_it_must(folder: Path, front: dict, mon
     def never(*args: object, **options: object) -> None:
         raise AssertionError("this does not depend on the budget")
 
-    for name in ("ladder_of", "sample_ladder", "assemble", "make_hands"):
+    for name in ("ladder_of", "sample_ladder", "assemble", "OwnHands"):
         monkeypatch.setattr(prepare, name, never)
     scan, motions = scan_and_motions(folder)
     # A busy machine's times are not what this is about.

@@ -5,47 +5,34 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import jax
 import numpy as np
 
 from hapticlod.errors import InputError
-from hapticlod.ladder import Ladder
-from hapticlod.motion import MODES, Motion
+from hapticlod.ladder import Ladder, Rung
+from hapticlod.motion import Motion
 from hapticlod.perception import Perception, load_perception
 from hapticlod.scan import Scan
 from hapticlod.scene_ladder import ladder_of
-from hapticlod.station import CostCoefficients, Station
+from hapticlod.station import Station
 from hapticlod.surrogate.measurement import LadderMeasurement
 from hapticlod.tool import Tool
 from tuning import kept
 from tuning.assemble import LadderData, assemble
-from tuning.calibrate import counted_cost_ns
 from tuning.costing import Costing
 from tuning.grid import Grid, make_clock, make_grid
-from tuning.make_hands import Hand, make_hands
+from tuning.own_hands import OwnHands
 from tuning.recordings import seen_and_apart
-from tuning.replays import MOST_RUNTIME_LEVELS, Bench, replay_fixed
+from tuning.replays import Bench
 from tuning.sample import sample_ladder, threads
 from tuning.space import Space
 
 Progress = Callable[[str, float], None]
 
-# Seconds per mode of the surrogate's motions, and of those kept apart: the most that replays can afford, see _seconds.
-SEEN_S = (24.0, 18.0, 12.0, 8.0, 6.0, 4.0, 2.5)
-APART_S = (24.0, 18.0, 12.0, 8.0, 6.0, 3.0)
-# Of the surrogate's motions, as many instants as so many seconds have show what a switch does, spread over all of each;
-# and so many of the first seconds show what the loop pays for it.
-SWITCH_S = (12.0, 6.0, 4.0, 2.5)
-# What they may cost, s.
-SEEN_REPLAY_S, APART_REPLAY_S, SWITCH_REPLAY_S = 14.0, 5.0, 6.0
-# By what a present core (a virtual Xeon) needs: it decides how long motions are, so it must be the same everywhere.
-_PRICES = CostCoefficients(
-    base_ns=255, cell_ns=67, triangle_ns=4.7, test_ns=60, iteration_ns=99, ball_ns=92, mapping_cell_ns=0
-)
-_STROKE_S = 0.1  # to make a second of a stroke
-_SWITCHED = 10.0  # cost of a replay that switches, in replays that stay on a level
 _TOUR_MM = 4.0  # a tour's mapping length, in offsets between rungs
 
 
@@ -79,8 +66,8 @@ class Prepared:
         seen, apart: motions of the surrogate, and motions kept apart to judge it.
         data: what replays over `seen` gave. `costing`: how this machine's time becomes the station's.
         space: the box to search.
-        measured: the surrogate's arrays, float64.
         key: of everything above.
+        progress: told when the surrogate is built.
     """
 
     ladder: Ladder
@@ -89,8 +76,19 @@ class Prepared:
     data: LadderData
     costing: Costing
     space: Space
-    measured: LadderMeasurement
     key: str
+    progress: Progress
+
+    @cached_property
+    def measured(self) -> LadderMeasurement:
+        """The surrogate's arrays, float64: built when first asked for, since where the full scan fits nobody asks."""
+        self.progress("build the surrogate", 0.0)
+        with jax.enable_x64(True):
+            measured = kept.load("assembled", self.key)
+            if measured is None:
+                measured = assemble(self.data, self.costing.station.stiffness_n_mm, self.space.dwell_ms * 1e-3)
+                kept.store("assembled", self.key, measured)
+        return measured
 
 
 @dataclass(frozen=True)
@@ -114,7 +112,7 @@ def prepare(
     hands: float = 1.0,
     whole: bool = False,
 ) -> Prepared:
-    """Ladder, motions, replays and the surrogate's arrays.
+    """Ladder, motions and replays, of which the surrogate is built when it is asked for.
 
     Args:
         scan: cleaned.
@@ -134,44 +132,55 @@ def prepare(
     """
     told: Progress = progress or (lambda name, part: None)
     felt = perception or load_perception()
-    ladder_key = kept.key_of("ladder", scan.digest, kept.code_digest())
-    ladder = kept.load("ladders", ladder_key)
-    if ladder is None:
-        pieces = kept.Pieces("ladder_pieces", ladder_key)
-        ladder = ladder_of(scan, progress=told, keep=pieces)
-        _ = ladder.rungs[-1].rms_mm
-        kept.store("ladders", ladder_key, ladder)
-        pieces.drop()
     given = tuple(motion.digest for motion in motions or ())
     untouched = station.model_copy(update={"budget_us": 1.0, "memory_mb": 1.0, "name": "", "slowdown_reason": ""})
     key = kept.key_of("samples", scan.digest, tool.digest, untouched.model_dump_json(), given, seed, repr(felt),
                       hands, whole, threads(), kept.code_digest())  # fmt: skip
     sampled = kept.load("samples", key)
-    if sampled is None:
-        sampled = _sampled(scan, ladder, station, tool, motions, seed, felt, told, hands, whole)
-        kept.store("samples", key, sampled)
-    told("build the surrogate", 0.0)
-    with jax.enable_x64(True):
-        measured = kept.load("assembled", key)
-        if measured is None:
-            measured = assemble(sampled.data, station.stiffness_n_mm, sampled.space.dwell_ms * 1e-3)
-            kept.store("assembled", key, measured)
+    with ExitStack() as opened:
+        own: list[OwnHands] = []
+
+        def begin(rungs: Sequence[Rung]) -> None:
+            """Hands are made while the ladder is measured."""
+            if sampled is None and not motions:
+                own.append(opened.enter_context(OwnHands(scan, rungs, station, tool, seed, hands)))
+
+        ladder = _ladder(scan, told, begin)
+        if sampled is None:
+            told("prepare the motions", 0.0)
+            switch_s = math.inf
+            if motions:
+                seen, apart = seen_and_apart(scan, station, tool, motions, whole)
+            else:
+                seen, apart = own[0].seen_and_apart()
+                switch_s = own[0].switch_s
+            sampled = _sampled(scan, ladder, station, tool, seen, apart, switch_s, felt, told)
+            kept.store("samples", key, sampled)
     costing = replace(sampled.costing, station=station)
-    return Prepared(ladder, sampled.seen, sampled.apart, sampled.data, costing, sampled.space, measured, key)
+    return Prepared(ladder, sampled.seen, sampled.apart, sampled.data, costing, sampled.space, key, told)
+
+
+def _ladder(scan: Scan, told: Progress, meshed: Callable[[Sequence[Rung]], None]) -> Ladder:
+    """Kept, or made now; `meshed` is told its rungs as soon as they are there."""
+    key = kept.key_of("ladder", scan.digest, kept.code_digest())
+    ladder = kept.load("ladders", key)
+    if ladder is not None:
+        meshed(ladder.rungs)
+        return ladder
+    pieces = kept.Pieces("ladder_pieces", key)
+    ladder = ladder_of(scan, progress=told, keep=pieces, meshed=meshed)
+    _ = ladder.rungs[-1].rms_mm
+    kept.store("ladders", key, ladder)
+    pieces.drop()
+    return ladder
 
 
 def _sampled(
-    scan: Scan, ladder: Ladder, station: Station, tool: Tool, motions: Sequence[Motion] | None, seed: int,
-    perception: Perception, told: Progress, hands: float, whole: bool,
+    scan: Scan, ladder: Ladder, station: Station, tool: Tool, seen: Sequence[Motion], apart: Sequence[Motion],
+    switch_s: float, perception: Perception, told: Progress,
 ) -> _Sampled:  # fmt: skip
-    told("prepare the motions", 0.0)
     grid = make_grid(ladder.rungs, tool)
     bench = Bench(ladder.rungs, scan.centre_mm, tool, station, grid)
-    switch_s = math.inf
-    if motions:
-        seen, apart = seen_and_apart(scan, station, tool, motions, whole)
-    else:
-        seen, apart, switch_s = _made(scan, bench, station, tool, seed, hands)
     longest_s = max(motion.seconds for motion in seen)
     thinning = max(1, math.ceil(longest_s / switch_s - 1e-6))
     clock, felt_clock, relay_clock = make_clock(seen), make_clock(seen, thinning=thinning), make_clock(seen, switch_s)
@@ -181,38 +190,6 @@ def _sampled(
     offset_mm = max(ladder.rungs[-1].rms_mm, 1e-3 * ladder.rungs[0].mean_edge_mm)
     data, costing = sample_ladder(bench, seen, clock, felt_clock, relay_clock, perception, _TOUR_MM * offset_mm, told)
     return _Sampled(tuple(seen), tuple(apart), data, costing, make_space(grid, data, offset_mm))
-
-
-def _made(
-    scan: Scan, bench: Bench, station: Station, tool: Tool, seed: int, hands: float
-) -> tuple[list[Motion], list[Motion], float]:
-    """Strokes of all modes, `hands` times as long as this tool lets replays be; and how much shows switches, s."""
-
-    def strokes(first: int, seconds: float) -> list[Hand]:
-        return [Hand(mode, seconds, 1000 * seed + first + i) for i, mode in enumerate(MODES)]
-
-    # Of one second of each mode, by its counters: a busy machine must not shorten the motions.
-    pilot = make_hands(scan, station, tool, strokes(900, 1.0), 1)
-    rungs, subsets = bench.grid.shape
-    spent_s: list[float] = []
-    for rung in (0, rungs // 2):
-        level = bench.level(rung)
-        for balls in (bench.grid.balls[0], bench.grid.balls[-1]):
-            replays = replay_fixed(bench, level, rung, balls, pilot, 1)
-            spent_s.append(1e-9 * sum(float(counted_cost_ns(rows, level.bytes, _PRICES).sum()) for rows in replays))
-    mean_s = sum(spent_s) / len(spent_s)
-    made_s = _STROKE_S * len(MODES)
-    legs = -(-rungs * subsets // MOST_RUNTIME_LEVELS)
-    seen_s = hands * _seconds(SEEN_S, (made_s + mean_s * rungs * subsets) / threads(), SEEN_REPLAY_S)
-    apart_s = hands * _seconds(APART_S, (made_s + spent_s[0]) / threads(), APART_REPLAY_S)
-    switch_s = hands * _seconds(SWITCH_S, mean_s * legs * _SWITCHED / threads(), SWITCH_REPLAY_S)
-    made = make_hands(scan, station, tool, strokes(0, seen_s) + strokes(500, apart_s), threads())
-    return made[: len(MODES)], made[len(MODES) :], switch_s
-
-
-def _seconds(choices: Sequence[float], cost_per_s: float, most: float) -> float:
-    """The longest of some lengths that costs at most so much; few choices, so that compiled code fits again."""
-    return next((seconds for seconds in choices if seconds * cost_per_s <= most), choices[-1])
 
 
 def make_space(grid: Grid, data: LadderData, offset_mm: float) -> Space:

@@ -46,22 +46,23 @@ def moving(space: Space, levels: int) -> NDArray[np.bool_]:
     return free
 
 
-def sensitivities(search: Search, space: Space, optimum: Optimum | None, station: Station) -> dict[str, Any]:
+# Of the full scan alone: nothing binds.
+_ZERO = {"binds": False, **dict.fromkeys(("objective", *METRICS), 0.0)}
+UNBOUND: dict[str, Any] = {"residual": 0.0, "reliable": True, **dict.fromkeys(LIMITS, _ZERO)}
+
+
+def sensitivities(search: Search, space: Space, optimum: Optimum, station: Station) -> dict[str, Any]:
     """Derivatives of objective and metrics at the surrogate's optimum, per us of budget and per MB of memory.
 
     Args:
         search: that found the optimum.
-        optimum: None where the answer is the full scan alone: nothing binds.
+        optimum: where that search ended.
         station: its budget and memory limit are what is moved.
 
     Returns:
         dict: `residual` (0 at a minimum; null where slopes were not finite), `reliable`, and by limit `binds` and the
         derivatives. These are null where the search did not end at a minimum, 0 where the limit does not bind.
     """
-    names = ("objective", *METRICS)
-    if optimum is None:
-        none = {"binds": False, **dict.fromkeys(names, 0.0)}
-        return {"residual": 0.0, "reliable": True, **{limit: dict(none) for limit in LIMITS}}
     x, levels, limits = optimum.x, optimum.levels, optimum.limits
     with ThreadPoolExecutor(threads()) as pool:
         found = differentiate_optimum(

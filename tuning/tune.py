@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from hapticlod.config import LodConfig
@@ -25,7 +26,7 @@ from tuning.objective import felt_of, holds
 from tuning.population import POOLED, check_over, measured_each, measured_objective
 from tuning.prepare import Prepared, Progress, Stages, prepare
 from tuning.search import Search
-from tuning.sensitivity import sensitivities, sentence
+from tuning.sensitivity import UNBOUND, sensitivities, sentence
 from tuning.verify import Verifier
 
 SHOWN_S = 2.0  # what a baseline that cannot be chosen may cost to measure, s of loop cost
@@ -37,7 +38,8 @@ class TuneResult:
 
     Attributes:
         config: the chosen configuration.
-        predicted, measured: its metrics by the surrogate, and in the runtime on motions kept apart.
+        predicted, measured: its metrics by the surrogate, and in the runtime on motions kept apart. Nothing is
+            predicted of the full scan where it fits: it is what all others are measured against.
         clock: what the clock said of its loop cost, us: mean and quantiles of each tick's least time over `runs`.
         baselines: by name, measured alike: "finest only", "coarsest only", "the paper's".
         ticks: by name ("tuned" and the baselines), how many the measurement rests on.
@@ -100,7 +102,12 @@ def tune(
     keep_compiled()
     stages = Stages(progress)
     ready = prepare(scan, station, tool, motions, seed=seed, progress=stages, whole=over != POOLED)
-    search = Search(ready.measured, ready.space, station.budget_us, over, len(ready.seen), ready.key)
+
+    @cache
+    def search() -> Search:
+        """Made when it is needed: where the full scan fits, nothing is searched and nothing is compiled."""
+        return Search(ready.measured, ready.space, station.budget_us, over, len(ready.seen), ready.key)
+
     verifier = Verifier(ready.ladder, tool, station, ready.apart, ready.costing, ready.key)
 
     def judged(config: LodConfig, metrics: dict[str, float]) -> float:
@@ -111,10 +118,14 @@ def tune(
     baselines, ticks, candidates = _baselines(ready, verifier, tool, station, judged, stages)
     clock = Clock(verifier, station)
 
+    def fits_whole(candidate: Candidate, allowed: Station) -> bool:
+        """One level may be the answer, and nothing is felt of this: a search could only find a trace of cost."""
+        return counts[0] == 1 and holds(candidate.measured, allowed) and felt_of(candidate.measured) == 0.0
+
     def explored(allowed: Station, near: Mapping[int, Candidate]) -> list[Candidate]:
-        if counts[0] == 1 and any(_is_perfect(candidate, allowed) for candidate in candidates):
+        if any(fits_whole(candidate, allowed) for candidate in candidates):
             return []
-        made = explore(search, verifier, ready, allowed, list(near) or counts, seed, stages, judged, near)
+        made = explore(search(), verifier, ready, allowed, list(near) or counts, seed, stages, judged, near)
         stages("ask the clock", 0.0)
         return made
 
@@ -125,9 +136,11 @@ def tune(
     ranked = sorted(candidates, key=lambda c: (c is not chosen, not c.feasible, merit(c)))
     feasible = {name: holds(metrics, station) for name, metrics in baselines.items()}
     stages("differentiate the optimum", 0.0)
-    predicted = chosen.predicted or search.look(ready.space.point(chosen.config), 1, limits_of(station, 1.0)).predicted
+    predicted = chosen.predicted
+    if not predicted and not fits_whole(chosen, station):
+        predicted = search().look(ready.space.point(chosen.config), 1, limits_of(station, 1.0)).predicted
     feasible["tuned"] = True
-    answers = sensitivities(search, ready.space, chosen.optimum, station)
+    answers = UNBOUND if chosen.optimum is None else sensitivities(search(), ready.space, chosen.optimum, station)
     stages.close()
     reason = explain(ranked, baselines, station, scan.triangles, tool)
     refused = refusal(chosen, candidates, clock.ratio, said, station)
@@ -178,11 +191,6 @@ def _baselines(
             alone.append(Candidate(config, {}, found, judged(config, found), holds(found, station)))
         stages("measure the baselines", (i + 1) / len(fixed))
     return measured, ticks, alone
-
-
-def _is_perfect(candidate: Candidate, station: Station) -> bool:
-    """Whether it holds its limits and nothing is felt of it: all that a search could still find is a trace of cost."""
-    return holds(candidate.measured, station) and felt_of(candidate.measured) == 0.0
 
 
 def _nothing_fits(candidates: list[Candidate], station: Station, ratio: float) -> InputError:

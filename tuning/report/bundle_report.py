@@ -136,8 +136,8 @@ def _measured(manifest: Json) -> str:
 
 def _predicted(manifest: Json) -> list[str]:
     predicted, measured = manifest.get("predicted"), manifest.get("measured")
-    if not (isinstance(predicted, dict) and isinstance(measured, dict)):
-        return []
+    if not (isinstance(predicted, dict) and predicted and isinstance(measured, dict)):
+        return []  # nothing is predicted of the full scan
     figure = plots.predicted_and_measured(_numbers(predicted), _numbers(measured))
     return [figures((figure, "What the model predicted over what the runtime measured, metric by metric."))]
 
