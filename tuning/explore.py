@@ -103,33 +103,43 @@ class _Exploration:
     def level_counts(
         self, counts: Sequence[int], near: Mapping[int, Candidate], most: int
     ) -> dict[int, tuple[Found, Correction]]:
-        """Searches and measures level count by level count, and returns what each ended with."""
+        """Searches and measures level count by level count, and returns what each ended with.
+
+        All are searched again as soon as it is known by how much costs are mispredicted: what further levels are worth
+        under one budget says little of a smaller one. Where the full scan was believed to fit, it says nothing.
+        """
         self.stages("optimise", 0.0)
         begin = {levels: before.optimum.x for levels, before in near.items() if before.optimum is not None}
-        every = self.search.best_of_each(counts, limits_of(self.station, 1.0), self.seed, begin)
-        correction = 1.0
+        at = min(near.values(), key=lambda c: c.objective).correction if near else 1.0
+        every = self.search.best_of_each(counts, limits_of(self.station, at), self.seed, begin)
+        correction, searched_again = at, False
         ended: dict[int, tuple[Found, Correction]] = {}
-        promise = np.inf  # of a level count: its best as predicted, by how much its first was mispredicted
-        for levels in sorted(counts, key=lambda k: every[k].rank):
+        mispredicted: dict[int, float] = {}  # the objective, by what was measured last
+        left = list(counts)
+        while left:
+            if not searched_again and abs(np.log(correction / at)) > AGREE:
+                self.stages("optimise", len(self.made) / self.usual)
+                every = self.search.best_of_each(counts, limits_of(self.station, correction), self.seed, {})
+                at, searched_again = correction, True
+            levels = min(left, key=lambda k: every[k].rank)
+            left.remove(levels)
             best = self.best
             if best is not None and (HOPE * every[levels].objective > best.objective or len(self.made) >= most):
                 continue
             if _hardly_used(every, levels):
                 continue
-            if not self.made and levels in near:
-                correction = near[levels].correction
-            found, asked = every[levels], Correction(1.0)
-            if abs(np.log(correction)) > AGREE:
+            found, asked = every[levels], Correction(at)
+            if abs(np.log(correction / at)) > AGREE:
                 asked = Correction(correction)
                 found = self.found(levels, correction, found, self.seed)
+            promise = min((every[k].objective * factor for k, factor in mispredicted.items()), default=np.inf)
             for turn in range(ROUNDS + RESCUES):
                 candidate = self.answer(levels, found, asked)
+                mispredicted[levels] = candidate.mispredicted
                 # Asked for less, the search gave what it gave before: there is nothing cheaper to be had of it.
                 more = asked.corrected(candidate, self.station) and not (turn and self.repeats)
-                if turn == 0:
-                    before, promise = promise, min(promise, every[levels].objective * candidate.mispredicted)
-                    if promise > (1.0 - WORTH) * before:
-                        break
+                if turn == 0 and every[levels].objective * candidate.mispredicted > (1.0 - WORTH) * promise:
+                    break
                 rounds = ROUNDS + RESCUES if self.best is None else min(ROUNDS, turn + 1 + most - len(self.made))
                 if not more or turn + 1 >= rounds:
                     break

@@ -21,7 +21,7 @@ from tuning import kept
 from tuning.compile_cache import compiled
 from tuning.hop import hop
 from tuning.known import Known, KnownPoints
-from tuning.objective import COST_WEIGHT, disturbance, objective
+from tuning.objective import COST_WEIGHT, disturbance, felt_of, rounded
 from tuning.optimise import SequentialQuadratic
 from tuning.population import POOLED, WORST, over_motions
 from tuning.sample import threads
@@ -114,10 +114,11 @@ def _metrics(
     parameters = decode(problem.log_low + x * problem.log_span, problem.levels)
     station_us = problem.station_us
     found, members = predict_members(measured, parameters, station_us, sharpness, max(problem.motions, 1))
-    if not problem.motions:
-        return found, objective(found, station_us)
-    each = disturbance(members.felt_error_jnd, members.discontinuity_per_s)
-    return found, over_motions(each, problem.worst) + COST_WEIGHT * found["loop_cost_mean_us"] / station_us
+    if problem.motions:
+        felt = over_motions(disturbance(members.felt_error_jnd, members.discontinuity_per_s), problem.worst)
+    else:
+        felt = felt_of(found)
+    return found, rounded(felt) + COST_WEIGHT * found["loop_cost_mean_us"] / station_us
 
 
 def value_and_excess(x: Float[Array, " n"], args: Any) -> tuple[Array, Array]:
