@@ -26,8 +26,11 @@ def few_starts(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(search, "STARTS", 3)
 
 
-def made_measurement(seed: int = 0) -> LadderMeasurement:
-    """Numbers without a scan, in the shapes and of the sizes that real ones have. Needs float64 to be on."""
+def made_measurement(seed: int = 0, *, perfect: bool = False) -> LadderMeasurement:
+    """Numbers without a scan, in the shapes and of the sizes that real ones have. Needs float64 to be on.
+
+    `perfect`: nothing is felt of the finest rung with all balls, as nothing is of a scan.
+    """
     random = np.random.default_rng(seed)
     coarseness = np.log(np.array([1.0, 3.0, 10.0, 40.0]))
     coarse = (np.arange(RUNGS) + 0.1)[:, None, None]
@@ -40,6 +43,8 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
 
     curves = lambda values: ladder_curves(coarseness, values)
     force_sq = bins(0.02, 2.0)
+    if perfect:
+        force_sq[0, 0] = 0.0
     feel = Feel(
         felt=curves(force_sq * 20), force_sq=curves(force_sq), peak_n=curves(np.sqrt(2 * force_sq)),
         band_sq=curves(0.1 * force_sq), either=curves(share()), both=curves(share(0.4)), contact=curves(share()),
@@ -103,7 +108,7 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
         felt_bins=jnp.arange(BINS),
         cycle=jnp.asarray(np.repeat(np.arange(BINS // 20) % 4, 20)),
         feel=feel,
-        traps=_made_traps(seed, coarse),
+        traps=_made_traps(seed, coarse, perfect),
         instants=instants,
         cost=cost,
         log_bytes=curves(np.log(1e7 / np.exp(coarseness))[:, None, None] * np.ones((RUNGS, SUBSETS, CELLS))),
@@ -116,9 +121,10 @@ def made_measurement(seed: int = 0) -> LadderMeasurement:
     )
 
 
-def _made_traps(seed: int, coarse: np.ndarray) -> Traps:
+def _made_traps(seed: int, coarse: np.ndarray, perfect: bool) -> Traps:
     random, shape = np.random.default_rng(seed + 1000), (RUNGS, SUBSETS, INSTANTS)
     caught = random.uniform(0, 0.3, shape) * coarse
+    caught[0, 0] *= not perfect
     return Traps(jnp.asarray(caught), jnp.asarray(0.03 * caught), jnp.asarray(random.uniform(size=shape) < 0.2))
 
 

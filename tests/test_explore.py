@@ -196,6 +196,24 @@ def test_a_level_count_that_promises_no_more_is_measured_once() -> None:
     assert counted.count(1) > 1 and counted.count(2) == counted.count(3) == 1
 
 
+def test_levels_that_only_pay_where_the_full_scan_does_not_fit_are_measured() -> None:
+    """It is believed to fit, so that further levels seem of no use; the runtime costs half as much again."""
+
+    class Content(Optimist):
+        def look(self, x: np.ndarray, count: int, limits: Any) -> Found:
+            cost_us = min(float(x[0]), 500.0)
+            found = super().look(np.array([cost_us, 1.0]), count, limits)
+            felt = 0.0 if cost_us == 500.0 else (2.0 - cost_us / 500.0) / count
+            return replace(found, objective=felt + 1e-6 * cost_us)
+
+    made, asked = explored(lambda predicted_us: 1.5, (1, 2), search=Content())
+    assert made[0].optimum.levels == 1 and not made[0].feasible
+    assert {candidate.optimum.levels for candidate in made} == {1, 2}
+    # Both are searched again with what costs are known to be.
+    first_of_two = next(candidate for candidate in made if candidate.optimum.levels == 2)
+    assert first_of_two.correction < 0.75 and asked.count(first_of_two.correction * BUDGET_US) >= 2
+
+
 def trembling(predicted_us: float) -> float:
     """A tail by which no measurement tells of the next."""
     return 0.8 + 0.15 * np.sin(7.0 * predicted_us)

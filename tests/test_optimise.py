@@ -73,6 +73,22 @@ def test_reaches_slsqp_optimum_from_every_start(fn, n, lower, upper):
         assert int(solution.stats["num_steps"]) <= 60
 
 
+@pytest.mark.parametrize("away", [1e-2, 1e-3, 1e-4, 1e-5])
+def test_what_is_gained_on_a_curved_limit_is_kept(away):
+    """Nearest point to (3, 1) in the unit disc, from inside: steps along the tangent end a hair outside."""
+
+    def problem(y, args):
+        return jnp.sum((y - jnp.array([3.0, 1.0])) ** 2), jnp.array([jnp.sum(y**2) - 1.0])
+
+    best = np.array([3.0, 1.0]) / np.sqrt(10.0)
+    start = (1.0 - away) * best
+    options = {"lower": jnp.full(2, -2.0), "upper": jnp.full(2, 2.0)}
+    solution = optx.minimise(problem, SequentialQuadratic(), jnp.asarray(start), None, options, has_aux=True)
+    value, excess = problem(solution.value, None)
+    assert float(excess[0]) < 2e-6  # atol, and little more
+    assert float(value) <= float(problem(jnp.asarray(best), None)[0]) + 0.05 * away
+
+
 def test_linear_rows_hold_and_bind():
     """Nearest point to (1, 0) with y1 >= y0 + 0.2 in the unit box: (0.4, 0.6)."""
     options = {

@@ -172,7 +172,9 @@ class SequentialQuadratic(optx.AbstractMinimiser):
         penalty = jnp.clip(jnp.maximum(state.penalty, needed), self.penalty, self.most_penalty)
         grown = penalty > state.penalty
         best_merit = jnp.where(state.first | ~jnp.isfinite(state.best_merit), jnp.inf, state.best_merit)
-        merit_now = state.value + self.most_penalty * violated
+        # A limit that holds to `atol` holds: at the largest penalty what is left of a converged step would outweigh all
+        # that the step gained, and a search that begins near its end would return its beginning.
+        merit_now = state.value + self.most_penalty * _violation(state.excess - self.atol)
         better = merit_now < best_merit
         decrease = predicted <= self.atol + self.rtol * jnp.abs(state.value)
         small = (self.norm(step) <= self.atol) | (radius <= self.atol)

@@ -36,6 +36,7 @@ MARGIN = 0.98  # of the budget that the surrogate may use
 # Switching is sharpened in stages: a soft trigger sees further, a sharp one counts right (PERCEPTION.md section 2).
 SOFT, SHARP = 6.0, 20.0
 SOFT_STEPS, MOST_STEPS = 8, 40
+RESTORING = 4  # steps at most towards keeping the limits, before a search that begins at a given point
 FOLLOWED = 3  # level counts that are searched again where another budget was searched before
 _FEASIBLE = 1e-3
 GLANCED = ("loop_cost_mean_us", "loop_cost_p999_us", "memory_mb")
@@ -230,8 +231,8 @@ class Search:
             drawn = [k for k in anew if k - 1 not in counts]
             soft = [(k, x, SOFT, SOFT_STEPS) for k in drawn for x in self.starts(pool, k, held, seed)]
             found = list(zip((task[0] for task in soft), pool.map(solved, soft), strict=True))
-            sharp = [(k, x, SHARP, MOST_STEPS) for k, x in near.items()]
-            sharp += [(k, before[k], SHARP, MOST_STEPS) for k in list(before)[:FOLLOWED]]
+            begun = [*near.items(), *list(before.items())[:FOLLOWED]]
+            sharp = [(k, self._restored(x, k, limits), SHARP, MOST_STEPS) for k, x in begun]
             for levels in drawn:
                 try:
                     heads = heads_of([f for k, f in found if k == levels], levels)
@@ -252,6 +253,18 @@ class Search:
         for levels, end in [*found, *ends.items()]:
             self._know(levels, end)
         return {levels: self.look(ends[levels].x, levels, limits) for levels in counts}
+
+    def _restored(self, x: NDArray[np.float64], levels: int, limits: Limits) -> NDArray[np.float64]:
+        """A point near x that about keeps the limits: where x is the full scan, slopes are those of a root at nothing,
+        and a search that begins there learns a curvature which it does not forget."""
+        for _ in range(RESTORING):
+            _, excess, jacobian = self.slopes(x, levels, limits)
+            most = int(np.argmax(excess))
+            row = jacobian[most]
+            if not (excess[most] > 0.0 and 0.0 < row @ row < np.inf):
+                break
+            x = self._space.ordered(np.clip(x - excess[most] * row / (row @ row), 0.0, 1.0), levels)
+        return x
 
     def _split(self, fewer: NDArray[np.float64], levels: int, pool: ThreadPoolExecutor, solved: Solved) -> list[Task]:
         """Searches from the most promising ends of short ones, which begin where one level of `fewer` is two."""
