@@ -5,8 +5,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 PROGRAM = """
 import sys
+from functools import partial
 import jax, jax.numpy as jnp
 from tuning import kept
 from tuning.compile_cache import compiled, keep_compiled
@@ -60,3 +63,14 @@ def test_a_change_that_changes_nothing_in_a_program_costs_one_tracing(tmp_path: 
     first.unlink()
     assert traced(tmp_path, (3, 2.0), code="changed", jax_folder=jax_folder) == 1
     assert not list((tmp_path / "executables").glob("*.kept"))
+
+
+def test_what_is_called_seldom_is_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same program, compiled in a hurry, is not given to who calls it often."""
+    thorough = traced(tmp_path, (3, 2.0))
+    monkeypatch.setattr(
+        sys.modules[__name__], "PROGRAM", PROGRAM.replace("@compiled", "@partial(compiled, seldom=True)")
+    )
+    assert thorough == traced(tmp_path, (3, 2.0)) == 1
+    assert len(list((tmp_path / "executables").glob("*.kept"))) == 2
+    assert traced(tmp_path, (3, 2.0)) == 0

@@ -33,13 +33,16 @@ _CPU_OPTIONS = {
     "xla_cpu_experimental_ynn_fusion_type": "",
 }
 
+_SELDOM = {"xla_backend_optimization_level": 0}
+
 _keeping = False
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+def compiled(function: Callable[..., Any], *, seldom: bool = False) -> Callable[..., Any]:
     """`eqx.filter_jit` of a function that is expensive to compile; results are built of tuples, lists and dicts.
 
-    The backend is chosen at the first call. Calls from several threads compile once.
+    The backend is chosen at the first call. Calls from several threads compile once. `seldom`: it is called so seldom
+    that compiling it counts: a third of the time to compile on a CPU, three times as long to run.
     """
     made: dict[Any, Any] = {}
     lock = Lock()
@@ -51,7 +54,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         if signature not in made:
             with lock:
                 if signature not in made:
-                    made[signature] = _executable(function, leaves, tree, fixed, signature)
+                    made[signature] = _executable(function, leaves, tree, fixed, signature, seldom)
         return made[signature](leaves)
 
     return call
@@ -63,26 +66,28 @@ def keep_compiled() -> None:
     _keeping = True
 
 
-def _executable(function: Callable[..., Any], leaves: list, tree: Any, fixed: Any, signature: Any) -> Any:
+def _executable(
+    function: Callable[..., Any], leaves: list, tree: Any, fixed: Any, signature: Any, seldom: bool = False
+) -> Any:
     """From the user's cache, or compiled and kept there."""
 
     def run(leaves: list) -> Any:
         return function(*eqx.combine(jax.tree.unflatten(tree, leaves), fixed))
 
     if not _keeping:
-        return jax.jit(run).lower(leaves).compile(compiler_options=_options())
+        return jax.jit(run).lower(leaves).compile(compiler_options=_options(seldom))
     named = f"{function.__module__}.{function.__qualname__}"
-    key = kept.key_of("program", named, signature, kept.code_digest(), *_backend())
+    key = kept.key_of("program", named, signature, kept.code_digest(), *_backend(seldom))
     program = kept.load("programs", key)
     executable = None if program is None else _read_back(program)
     if executable is not None:
         return executable
     lowered = jax.jit(run).lower(leaves)
-    program = kept.key_of("executable", hashlib.blake2b(lowered.as_text().encode()).hexdigest(), *_backend())
+    program = kept.key_of("executable", hashlib.blake2b(lowered.as_text().encode()).hexdigest(), *_backend(seldom))
     kept.store("programs", key, program)
     executable = _read_back(program)
     if executable is None:
-        executable = lowered.compile(compiler_options=_options())
+        executable = lowered.compile(compiler_options=_options(seldom))
         _keep(program, executable, leaves)
     return executable
 
@@ -121,20 +126,20 @@ def _load_linear_algebra() -> None:
     jax.jit(factor).lower(jax.ShapeDtypeStruct((2, 2), "float32"))
 
 
-def _options() -> dict[str, Any]:
+def _options(seldom: bool) -> dict[str, Any]:
     """On a CPU ours, but what the user says in XLA_FLAGS goes first."""
     said = os.environ.get("XLA_FLAGS", "")
-    chosen = _CPU_OPTIONS if jax.default_backend() == "cpu" else {}
+    chosen = {**_CPU_OPTIONS, **(_SELDOM if seldom else {})} if jax.default_backend() == "cpu" else {}
     return {name: value for name, value in chosen.items() if name not in said}
 
 
-@lru_cache(maxsize=1)
-def _backend() -> tuple[str, ...]:
+@lru_cache(maxsize=2)
+def _backend(seldom: bool) -> tuple[str, ...]:
     """What machine code is made for and by: a home folder may be shared by unlike machines."""
     device = jax.devices()[0]
     client = device.client
     made_by = jax.__version__, version("jaxlib"), client.platform, client.platform_version, device.device_kind
-    return (*made_by, platform.machine(), _cpu_features(), repr(_options()), os.environ.get("XLA_FLAGS", ""))
+    return (*made_by, platform.machine(), _cpu_features(), repr(_options(seldom)), os.environ.get("XLA_FLAGS", ""))
 
 
 def _cpu_features() -> str:

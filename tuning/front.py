@@ -162,7 +162,8 @@ def follow(
     for i in sorted({len(limits) // 4, len(limits) // 2, 3 * len(limits) // 4}):
         known += list(search.best_of_each(counts, limits[i], seed).items())
     for levels in counts:
-        known += [(levels, search.look(x, levels, limits[0])) for x in space.sample(LOOKS, levels, seed + levels)]
+        drawn = list(space.sample(LOOKS, levels, seed + levels))
+        known += [(levels, found) for found in search.glances(drawn, levels, limits[0])]
     known = [(levels, found) for levels, found in known if np.isfinite(found.objective)]
 
     def ranked(i: int) -> list[tuple[int, Found]]:
@@ -179,7 +180,8 @@ def follow(
             if len(starts) < count:
                 starts.setdefault(levels, found.x)
         known += list(search.best_of_each(sorted(starts), limits[i], seed, starts).items())
-    return [ranked(i)[0] for i in range(len(limits))]
+    best = [ranked(i)[0] for i in range(len(limits))]
+    return [(levels, search.look(found.x, levels, limit)) for (levels, found), limit in zip(best, limits, strict=True)]
 
 
 def _excess(found: Found, limits: Limits) -> float:

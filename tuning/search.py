@@ -154,7 +154,8 @@ def solve(
     return found.value, (found.state.gradient, found.state.excess, found.state.jacobian)
 
 
-_solve, _look, _glance = compiled(solve), compiled(_metrics), compiled(glance)
+# All metrics are looked at a few dozen times, and half of them are quantiles, which are long to compile.
+_solve, _look, _glance = compiled(solve), compiled(_metrics, seldom=True), compiled(glance)
 
 
 class Search:
