@@ -49,7 +49,8 @@ def bundle_report(
     name = str(about.get("name") or held.path.stem)
     record = None if held.golden_record is None else _record(held, held.golden_record)
     parts = [section("Summary", *_summary(held, record)), section("Configuration", _configuration(held), _levels(held))]
-    parts.append(section("Predicted and measured", _measured(manifest), *_predicted(manifest)))
+    title = "Predicted and measured" if manifest.get("predicted") else "Measured"
+    parts.append(section(title, _measured(manifest), *_predicted(manifest)))
     if record is not None:
         parts.append(section("The golden motion", _golden_words(held, record), _golden(held, record)))
     else:
